@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
 
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation, OptimisationState, highest
 from bojax.acquisition.functions import Acquisition
@@ -152,28 +151,16 @@ def _drawn(grid: jax.Array, evaluated: Any, x: np.ndarray, y: np.ndarray, title:
 
 def _draw_line(posterior: _Posterior):
     has_score = posterior.score is not None
-    figure, grid = style.figure(
-        3.9 if has_score else 2.8,
-        1 + has_score,
-        1,
-        sharex=True,
-        gridspec_kw={"height_ratios": (3, 1)[: 1 + has_score]},
-    )
-    axes, x = grid[0, 0], posterior.grid[:, 0]
-    band = BAND * posterior.std
-    axes.fill_between(
-        x,
-        posterior.mean - band,
-        posterior.mean + band,
-        color=style.BLUE,
-        alpha=0.18,
-        linewidth=0,
-        label="95%",
-    )
+    ratios = {"height_ratios": (3, 1)[: 1 + has_score]}
+    height = 3.9 if has_score else 2.8
+    figure, grid = style.figure(height, 1 + has_score, 1, sharex=True, gridspec_kw=ratios)
+    axes, x, mean, band = grid[0, 0], posterior.grid[:, 0], posterior.mean, BAND * posterior.std
+    shade = {"color": style.BLUE, "alpha": 0.18, "linewidth": 0, "label": "95%"}
+    axes.fill_between(x, mean - band, mean + band, **shade)
     for i, draw in enumerate(posterior.draws):
         axes.plot(x, draw, color=style.SKY, linewidth=0.8, label="_" if i else "draws")
-    axes.plot(x, posterior.mean, color=style.BLUE, label="mean")
-    _draw_observations(axes, posterior.x[:, 0], posterior.y)
+    axes.plot(x, mean, color=style.BLUE, label="mean")
+    axes.scatter(posterior.x[:, 0], posterior.y, s=16, color=style.INK, zorder=3, label="observations")
     axes.set_ylabel("value")
     style.quiet_grid(axes)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
@@ -186,14 +173,9 @@ def _draw_line(posterior: _Posterior):
         below.set_ylabel("acquisition")
         style.quiet_grid(below)
     grid[-1, 0].set_xlabel("input")
-    caption = "Posterior mean and 95% band of the noise-free function"
-    caption += f", {len(posterior.draws)} joint draws" if len(posterior.draws) else ""
-    caption += f", and {len(posterior.y)} observations."
-    return figure, caption + (
-        " Below: the acquisition function, cut off at its lower quartile; a line marks its maximum."
-        if has_score
-        else ""
-    )
+    draws = f", {len(posterior.draws)} joint draws" if len(posterior.draws) else ""
+    what = f"95% band of the noise-free function{draws}, and {len(posterior.y)} observations"
+    return figure, _caption(what, "line", has_score)
 
 
 def _draw_maps(posterior: _Posterior):
@@ -205,15 +187,8 @@ def _draw_maps(posterior: _Posterior):
     first, second = posterior.grid[::side, 0], posterior.grid[:side, 1]
     for axes, (name, values) in zip(grid[:, 0], panels.items(), strict=True):
         bottom, top = _shown(values) if name == "acquisition" else (None, None)
-        image = axes.pcolormesh(
-            first,
-            second,
-            values.reshape(side, side).T,
-            cmap="viridis",
-            rasterized=True,
-            vmin=bottom,
-            vmax=top,
-        )
+        drawn = {"cmap": "viridis", "rasterized": True, "vmin": bottom, "vmax": top}
+        image = axes.pcolormesh(first, second, values.reshape(side, side).T, **drawn)
         axes.scatter(*posterior.x.T, s=14, color="white", edgecolors=style.INK, linewidths=0.6, zorder=3)
         axes.set_ylabel("second input")
         figure.colorbar(image, ax=axes, label=name)
@@ -221,22 +196,16 @@ def _draw_maps(posterior: _Posterior):
         place = posterior.grid[np.argmax(posterior.score)]
         grid[-1, 0].scatter(*place, s=60, marker="x", color=style.ORANGE, zorder=4)
     grid[-1, 0].set_xlabel("first input")
-    caption = (
-        f"Posterior mean and standard deviation of the noise-free function; {len(posterior.y)} observations."
-    )
-    has_score = posterior.score is not None
-    return figure, caption + (
-        " Below: the acquisition function, cut off at its lower quartile; a cross marks its maximum."
-        if has_score
-        else ""
-    )
+    what = f"standard deviation of the noise-free function; {len(posterior.y)} observations"
+    return figure, _caption(what, "cross", posterior.score is not None)
+
+
+def _caption(what: str, mark: str, has_score: bool) -> str:
+    below = f" Below: the acquisition function, cut off at its lower quartile; a {mark} marks its maximum."
+    return f"Posterior mean and {what}.{below if has_score else ''}"
 
 
 def _shown(score: np.ndarray) -> tuple[float, float]:
     """The range of the upper three quarters of the scores: a logarithm has no lower bound at observations."""
     bottom, top = float(np.quantile(score, 0.25)), float(np.max(score))
     return bottom, top if top > bottom else bottom + 1.0
-
-
-def _draw_observations(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    axes.scatter(x, y, s=16, color=style.INK, zorder=3, label="observations")

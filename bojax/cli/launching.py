@@ -16,6 +16,9 @@ LAUNCHING_USAGE = "\n             [--launcher inline|ray|slurm] [--cluster FILE]
 
 LAUNCHERS = ("inline", "ray", "slurm")
 
+INLINE = Namespace(launcher="inline", cluster=None, devices=None, dry_run=False)
+"""The options of a command without them: all chunks run in this process, on all devices."""
+
 
 def add_launching(parser: Parser) -> None:
     """Add the options."""
@@ -32,6 +35,7 @@ def add_running(parser: Parser, out: str, resume: str) -> None:
     parser.option("--seed", "S", "seed of the keys of all runs (default: as in the file)", integer)
     parser.option("--out", "DIR", out, path)
     parser.flag("--resume", resume)
+    parser.set_defaults(**vars(INLINE))
 
 
 def check_launching(args: Namespace) -> None:
@@ -41,20 +45,15 @@ def check_launching(args: Namespace) -> None:
         UsageError: An option does not fit the launcher.
         ConfigError: A setting in the file is wrong.
     """
-    launcher = name_of_launcher(args)
-    if launcher == "inline" and getattr(args, "cluster", None):
+    launcher = args.launcher
+    if launcher == "inline" and args.cluster:
         raise UsageError("--cluster: allowed: only with --launcher ray or slurm")
     if launcher != "inline" and args.devices is not None:
         raise UsageError("--devices: allowed: only without --launcher; a cluster chooses the devices")
-    if launcher != "slurm" and getattr(args, "dry_run", False):
+    if launcher != "slurm" and args.dry_run:
         raise UsageError("--dry-run: allowed: only with --launcher slurm")
     if launcher != "inline":
         load_launching(args.cluster, SlurmConfig if launcher == "slurm" else RayConfig)
-
-
-def name_of_launcher(args: Namespace | None) -> str:
-    """The launcher that was asked for; commands without the option have the launcher "inline"."""
-    return getattr(args, "launcher", "inline")
 
 
 def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | None", list[int] | None]:
@@ -64,16 +63,15 @@ def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | No
         args: The options.
         waits: Whether the command needs the results, so that it waits for Slurm too.
     """
-    launcher = name_of_launcher(args)
-    if launcher == "slurm":
+    if args.launcher == "slurm":
         from bojax.engine.launchers.slurm import Slurm
 
         return Slurm(load_launching(args.cluster, SlurmConfig), waits=waits), None
-    if launcher == "ray":
+    if args.launcher == "ray":
         from bojax.engine.launchers.ray_actors import Ray
 
         return Ray(load_launching(args.cluster, RayConfig)), None
-    return None, getattr(args, "devices", None)
+    return None, args.devices
 
 
 def dry_run(args: Namespace, names: Sequence[str], folders: Sequence[Path]) -> int:

@@ -10,12 +10,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from bojax.cli.launching import (
+    INLINE,
     LAUNCHING_USAGE,
     add_launching,
     add_running,
     check_launching,
     dry_run,
-    name_of_launcher,
+    launcher_of,
 )
 from bojax.cli.parser import Parser, UsageError
 from bojax.config.errors import printable
@@ -74,7 +75,7 @@ def main(name: str, words: Sequence[str]) -> int:
         if isinstance(source, str) and (hidden := shadowed(source, folder)):
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
-    if getattr(args, "dry_run", False):
+    if args.dry_run:
         from bojax.results.folder import dated_folder  # imports pyarrow
 
         return dry_run(args, names, _folders(args.out or dated_folder(names[0]), names))
@@ -132,7 +133,7 @@ def run(
     resume: bool,
     command: list[str],
     *,
-    launching: Namespace | None = None,
+    launching: Namespace = INLINE,
 ) -> int:
     """Run resolved sweeps and write their reports.
 
@@ -141,7 +142,7 @@ def run(
         folders: Results folder of each sweep; None for `results/NAME/TIME`.
         resume: Whether to continue unfinished sweeps.
         command: The command line, for the manifests and for the hint on how to resume.
-        launching: The options of `add_launching`; None runs the chunks in this process, on all devices.
+        launching: The options of `add_launching`.
 
     Returns:
         The exit code, as `bojax.engine.run.run_sweeps`.
@@ -152,7 +153,7 @@ def run(
     with StopRequest(announce=lambda _: None) as stop:
         from bojax.engine.devices import start_early
 
-        if name_of_launcher(launching) == "inline" and len({sweep.engine.device for sweep in sweeps}) == 1:
+        if launching.launcher == "inline" and len({sweep.engine.device for sweep in sweeps}) == 1:
             start_early(sweeps[0].engine.device)
         from bojax.engine.bar import is_read_by_a_process
         from bojax.engine.run import run_sweeps
@@ -162,11 +163,10 @@ def run(
         return stop.exit_code
 
     from bojax.cli.background import Reports
-    from bojax.cli.launching import launcher_of
 
     if is_read_by_a_process():
         stop_with_parent()
-    launcher, devices = launcher_of(launching or Namespace())
+    launcher, devices = launcher_of(launching)
     requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
     with launcher or nullcontext(), Reports(in_background=len(sweeps) > 1) as reports:
         code = run_sweeps(

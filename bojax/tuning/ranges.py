@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError
@@ -21,16 +21,8 @@ SIGNIFICANT = 6
 EXAMPLE = "planner.exploration=0.1:10:log"
 
 
-@dataclass(frozen=True)
-class Asked:
-    """A range as given.
-
-    Attributes:
-        key: Dotted path of the setting.
-        low: Lower bound, as text.
-        high: Upper bound, as text.
-        is_log: Whether values are searched by their logarithm.
-    """
+class Asked(NamedTuple):
+    """A range as given, with bounds as text, and whether values are searched by their logarithm."""
 
     key: str
     low: str

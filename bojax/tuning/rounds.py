@@ -6,9 +6,8 @@ import math
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from bojax.engine.remote import Launcher
 from bojax.engine.run import run_sweeps
 from bojax.engine.targets import Request, say_new
 from bojax.report.ranking import Measure, config_of, ranking, scored
-from bojax.report.source import load
+from bojax.report.source import Point, load
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
 from bojax.tuning.page import TUNING, build_page, is_search, read_tuning, round_folder, round_name
@@ -95,8 +94,7 @@ def run_rounds(
     return code
 
 
-@dataclass(frozen=True)
-class _Tried:
+class _Tried(NamedTuple):
     """A point whose runs are done: its round, its values and its score, the mean of the metric."""
 
     round: int
@@ -158,11 +156,7 @@ class _Rounds:
         """Tell the search the scores of a finished round, and print the best point so far."""
         results = load(folder)
         tried = [
-            _Tried(
-                number,
-                tuple(point.swept[key] for key in self._keys),
-                float(self._measure.values(results, point).mean()),
-            )
+            _Tried(number, self._values(point), float(self._measure.values(results, point).mean()))
             for point in results.points
         ]
         self._search.tell(
@@ -177,6 +171,10 @@ class _Rounds:
                 f"at {described(self._task.ranges, best)}",
                 flush=True,
             )
+
+    def _values(self, point: Point) -> Values:
+        """The values of the tuned settings at a point of a round."""
+        return tuple(point.swept[key] for key in self._keys)
 
     def _expected(self, points: Sequence[Values]) -> tuple[np.ndarray, np.ndarray]:
         """Posterior mean of the metric, and its standard deviation."""
@@ -220,9 +218,7 @@ class _Rounds:
         """Write the config of the best point, and what the report reads."""
         task, best = self._task, self._tried[order[0]]
         results = load(round_folder(self._folder, best.round))
-        point = next(
-            point for point in results.points if tuple(point.swept[key] for key in self._keys) == best.values
-        )
+        point = next(point for point in results.points if self._values(point) == best.values)
         config = dump(config_of(results, point))
         write_content(self._folder / "best.yaml", config)
         mean, std = self._expected([each.values for each in self._tried])
@@ -233,14 +229,8 @@ class _Rounds:
                 "name": task.config.name,
                 "title": task.config.title,
                 "points": [
-                    {
-                        "round": each.round,
-                        "values": list(each.values),
-                        "score": each.score,
-                        "mean": float(mean[index]),
-                        "std": float(std[index]),
-                    }
-                    for index, each in enumerate(self._tried)
+                    {**each._asdict(), "mean": expected, "std": spread}
+                    for each, expected, spread in zip(self._tried, mean.tolist(), std.tolist(), strict=True)
                 ],
                 "order": list(order),
                 "noise_std": self._search.noise_std,

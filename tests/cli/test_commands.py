@@ -128,42 +128,25 @@ def test_report_takes_folders(calls, capsys):
     assert capsys.readouterr().out == "a/report.html\nb/report.html\n"
 
 
-class TestBench:
-    """Benchmarks are modules `bench_NAME.py` with a `main`."""
-
-    @pytest.fixture
-    def benchmarks(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        (tmp_path / "benchmarks").mkdir()
-        for name, code in (("one", 0), ("two_words", 3)):
-            path = tmp_path / "benchmarks" / f"bench_{name}.py"
-            path.write_text(f"def main(argv):\n    print('{name}', argv)\n    return {code}\n")
-
-    @pytest.mark.usefixtures("benchmarks")
-    def test_by_name(self, capsys):
-        assert main(["bench", "one"]) == 0
-        assert capsys.readouterr().out == "one []\n"
-        assert main(["bench", "two-words"]) == 3
-        assert main(["bench", "one", "results/a", "b"]) == 0
-        assert capsys.readouterr().out == "two_words []\none ['results/a', 'b']\n"
-
-    @pytest.mark.usefixtures("benchmarks")
-    def test_all_of_them(self, capsys):
-        assert main(["bench"]) == 3
-        assert capsys.readouterr().out == "benchmarks: one, two-words\none []\ntwo_words []\n"
-
-    @pytest.mark.usefixtures("benchmarks")
-    def test_an_unknown_one(self, capsys):
-        assert main(["bench", "two-word"]) == 2
-        assert "unknown benchmark two-word; allowed: one, two-words; did you mean" in capsys.readouterr().err
-
-    def test_an_installed_package_has_none(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr("bojax.cli.bench.shipped", lambda folder: tmp_path / folder)
-        assert main(["bench"]) == 2
-        assert capsys.readouterr().err.startswith(
-            "error: no benchmarks found; run this command in a clone of bojax"
-        )
+def test_benchmarks_are_modules_with_a_main(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("bojax.cli.bench.shipped", lambda folder: tmp_path / folder)
+    assert main(["bench"]) == 2
+    assert capsys.readouterr().err.startswith("error: no benchmarks found; run this command in a clone of ")
+    (tmp_path / "benchmarks").mkdir()
+    for name, code in (("one", 0), ("two_words", 3)):
+        path = tmp_path / "benchmarks" / f"bench_{name}.py"
+        path.write_text(f"def main(argv):\n    print('{name}', argv)\n    return {code}\n")
+    for words, code, output in (
+        ("bench one", 0, "one []\n"),
+        ("bench two-words", 3, "two_words []\n"),
+        ("bench one results/a b", 0, "one ['results/a', 'b']\n"),
+        ("bench", 3, "benchmarks: one, two-words\none []\ntwo_words []\n"),
+    ):
+        assert main(words.split()) == code
+        assert capsys.readouterr().out == output
+    assert main(["bench", "two-word"]) == 2
+    assert "unknown benchmark two-word; allowed: one, two-words; did you mean" in capsys.readouterr().err
 
 
 class TestDoctor:

@@ -5,7 +5,6 @@ import pytest
 
 from bojax.config.claims import Claim
 from bojax.config.errors import ConfigError
-from bojax.config.files import available
 from bojax.config.sweep import load_sweep
 from bojax.config.yaml_file import parse
 from tests.transcript import cases
@@ -123,9 +122,3 @@ def test_an_explanation_of_nothing_or_by_nothing_is_refused():
         with pytest.raises(ConfigError, match=reason) as error:
             explained(*parse(explanations, "explanations"))
         assert "\n" not in str(error.value)
-
-
-def test_published_explanations_are_of_claims_and_by_sweeps_of_bojax():
-    sweeps = [load_sweep(name) for name in available("sweeps")]
-    paragraphs = [each for sweep in sweeps for each in sweep.report.get("explanations", ())]
-    assert paragraphs and all("sweeps" in each for each in paragraphs if each["cause"] == "choice")

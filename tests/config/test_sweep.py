@@ -26,6 +26,8 @@ def test_every_config_and_every_sweep_loads():
         assert sweep.name == name
         settings = [(point.variant, *map(str, point.swept.values())) for point in sweep.points]
         assert len(set(settings)) == len(settings), name
+        for each in sweep.report.get("explanations", ()):
+            assert each["cause"] != "choice" or "sweeps" in each, "the sweeps that show the choice"
 
 
 def test_the_parking_sweep_is_figure_4_6():

@@ -13,8 +13,8 @@ from bojax.config.places import look_up
 from bojax.config.sweep import load_config, load_sweep
 from bojax.engine.build import build
 from bojax.engine.learners import evaluation
-from bojax.engine.manifest import timings
 from bojax.experiments.settings import Learning
+from bojax.results.merge import _timings
 from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
 DOCS = ROOT / "docs"
@@ -154,7 +154,7 @@ def test_the_results_page_names_every_column():
     configs.append(load_sweep("table-5.1").points[0].config)
     tables = [table for config in configs for table in build(config).tables.values()]
     columns = {re.sub(r"^(observation|action)_\d+$", r"\1_0", column.name) for t in tables for column in t}
-    assert columns | set(timings([]).column_names) <= names_in(DOCS / "results.md")
+    assert columns | set(_timings([], {}).column_names) <= names_in(DOCS / "results.md")
 
 
 EQUATIONS = DOCS / "equations.md"
