@@ -62,6 +62,7 @@ def _sweep_run(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, flo
     from bojax.engine.devices import prepare
     from bojax.engine.plan import make_plan
     from bojax.engine.sweep_run import SweepRun
+    from bojax.engine.targets import Target
 
     prepare("cpu")
     content = {
@@ -72,7 +73,8 @@ def _sweep_run(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, flo
     sweep, devices = load_sweep(content), jax.devices("cpu")[:1]
     seconds, plan = _timed(lambda: make_plan(sweep, devices))
     assert len(plan.chunks) == chunks
-    return SweepRun(plan, folder, "many chunks", is_resumed=is_resumed, may_rename=False), seconds
+    target = Target(sweep, folder, is_resumed=is_resumed, may_rename=False)
+    return SweepRun(plan, target, ["many", "chunks"]), seconds
 
 
 def _make(folder: Path, chunks: int) -> dict[str, float]:

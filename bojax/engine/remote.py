@@ -5,13 +5,14 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 
 from bojax.config.saved_sweep import saved
+from bojax.engine.chunks import Chunk
 from bojax.engine.devices import prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.plan import plain, plan_made_elsewhere
@@ -22,9 +23,6 @@ from bojax.results.folder import RunFolder, check_plan
 from bojax.results.status import status_of
 from bojax.results.store import MANIFEST, ResultsError, read_json
 
-if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
-
 POLL_SECONDS = 1.0
 """Time between two looks at the folders."""
 
@@ -34,20 +32,24 @@ TELL_SECONDS = 10.0
 LATE_SECONDS = 60.0
 """Time after which a file of a worker is visible here: NFS keeps what it knows of a folder for so long."""
 
-
 SHARES_PER_WORKER = 4
 """Maximum number of shares for each worker. At the end, a worker is without work for a share at most."""
 
 
-def num_shares(workers: int, groups: int) -> int:
+def num_shares(workers: int, groups: int, chunks: int) -> int:
     """Number of shares that the chunks of a launch are divided into, each run by one worker at a time.
 
     A worker that has finished a share is given another one by Ray or Slurm, so that more shares than workers
     balance the load. Every share compiles the programs of its groups, and shares that follow one another hold
     whole groups where there are more groups than shares: so there are no more shares than groups, unless a
     worker would have none.
+
+    Args:
+        workers: Number of workers.
+        groups: Number of static groups that have chunks left.
+        chunks: Number of chunks that are left.
     """
-    return min(SHARES_PER_WORKER * workers, max(workers, groups))
+    return min(SHARES_PER_WORKER * workers, max(workers, groups), chunks)
 
 
 class Launcher(abc.ABC):
@@ -75,13 +77,14 @@ class Launcher(abc.ABC):
         return False
 
     @abc.abstractmethod
-    def start(self, name: str, folders: Sequence[Path], groups: int) -> None:
+    def start(self, name: str, folders: Sequence[Path], groups: int, chunks: int) -> None:
         """Start workers for the sweeps in these folders, or give these sweeps to those that wait for work.
 
         Args:
             name: Names of the sweeps.
             folders: Their folders, in which the launch has been written.
-            groups: Number of static groups of all sweeps.
+            groups: Number of static groups that have chunks left, of all sweeps.
+            chunks: Number of chunks that are left; an upper bound as long as no worker has planned a sweep.
 
         Raises:
             EngineError: They cannot be started.
@@ -104,11 +107,16 @@ class Launcher(abc.ABC):
 
 @dataclass(eq=False)
 class _Remote:
-    """A sweep that workers run; open once a worker has planned it."""
+    """A sweep that workers run.
 
-    sweep: "Sweep"
-    path: Path
-    groups: int
+    Attributes:
+        target: The sweep and its folder.
+        chunks: The chunks of the plan for a CPU. A worker's plan may have fewer.
+        run: The sweep in its folder, open once a worker has planned it.
+    """
+
+    target: Target
+    chunks: Sequence[Chunk]
     run: SweepRun | None = None
 
 
@@ -135,7 +143,7 @@ def run_remotely(
     launcher.check(names)
     # What is wrong with a sweep shows before the launch.
     unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], finish)
-    remotes = [_Remote(target.sweep, _open(target), len(plan.groups)) for target, plan in unfinished]
+    remotes = [_Remote(_open(target), plan.chunks) for target, plan in unfinished]
     try:
         return _run(remotes, names, command, finish, stop, launcher) if remotes else 0
     finally:
@@ -144,8 +152,8 @@ def run_remotely(
                 remote.run.close()
 
 
-def _open(target: Target) -> Path:
-    """Create the results folder, or check that it belongs to the sweep, and return it."""
+def _open(target: Target) -> Target:
+    """Create the results folder, or check that it belongs to the sweep; return it with its final name."""
     folder, sweep = RunFolder(target.path), plain(saved(target.sweep))
     if target.is_resumed:
         try:
@@ -156,7 +164,7 @@ def _open(target: Target) -> Path:
     else:
         folder.create(None, may_rename=target.may_rename)
     folder.close(finished=False)
-    return folder.path
+    return replace(target, path=folder.path, is_resumed=True)
 
 
 def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:
@@ -180,7 +188,7 @@ def _run(
     stop: StopRequest,
     launcher: Launcher,
 ) -> int:
-    paths = [remote.path for remote in remotes]
+    paths = [remote.target.path for remote in remotes]
     for remote in remotes:
         _plan(remote, command)
     waiting = [remote for remote in remotes if not _has_ended(remote)]
@@ -189,11 +197,11 @@ def _run(
             _conclude(remote, finish)
     if waiting:
         try:
-            folders = [remote.path for remote in waiting]
+            folders = [remote.target.path for remote in waiting]
             if not launcher.has_begun(folders):
-                for remote in waiting:
-                    _launch(remote)
-                launcher.start(names, folders, sum(remote.groups for remote in waiting))
+                left = [_launch(remote) for remote in waiting]
+                groups = sum(len({chunk.group for chunk in chunks}) for chunks in left)
+                launcher.start(names, folders, groups, sum(map(len, left)))
             if not launcher.is_awaited:
                 folders = shlex.join(map(str, paths))
                 print(f"progress:  bojax status {folders}\nto merge:  {resuming(command, paths)}")
@@ -210,22 +218,24 @@ def _run(
 
 def _plan(remote: _Remote, command: Sequence[str]) -> None:
     """Open a sweep that a worker has planned."""
-    folder = RunFolder(remote.path)
+    folder = RunFolder(remote.target.path)
     content = folder.plan()
     if content is None or remote.run is not None:
         return
-    plan = plan_made_elsewhere(remote.sweep, content, folder.device())
-    run = SweepRun(plan, remote.path, shlex.join(command), is_resumed=True, may_rename=False)
+    plan = plan_made_elsewhere(remote.target.sweep, content, folder.device())
+    run = SweepRun(plan, remote.target, command)
     # Failures are told before they are tried again.
-    manifest = remote.path / MANIFEST
+    manifest = remote.target.path / MANIFEST
     run.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")
     remote.run = run
 
 
-def _launch(remote: _Remote) -> None:
-    """Write what workers need to know: the sweep, and the chunks that are left."""
-    left = None if remote.run is None else [chunk.index for chunk in remote.run.left]
-    RunFolder(remote.path).launch(plain(saved(remote.sweep)), left)
+def _launch(remote: _Remote) -> Sequence[Chunk]:
+    """Write what workers need to know: the sweep, and the chunks that are left, which are returned."""
+    left = None if remote.run is None else remote.run.left
+    indices = None if left is None else [chunk.index for chunk in left]
+    RunFolder(remote.target.path).launch(plain(saved(remote.target.sweep)), indices)
+    return remote.chunks if left is None else left
 
 
 def _has_ended(remote: _Remote) -> bool:
@@ -261,7 +271,7 @@ def _wait(
         if time.monotonic() - told > TELL_SECONDS:
             told = time.monotonic()
             for remote in waiting:
-                print(status_of(remote.path).summary, file=sys.stderr)
+                print(status_of(remote.target.path).summary, file=sys.stderr)
         for remote in list(waiting):
             _plan(remote, command)
             if _has_ended(remote):

@@ -1,6 +1,5 @@
 """Running sweeps: plan, execute, merge."""
 
-import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -74,16 +73,7 @@ def _run(
 ) -> int:
     """Plan the sweeps, run those that are not finished, and return the exit code."""
     start = time.monotonic()
-    runs = [
-        SweepRun(
-            plan,
-            target.path,
-            shlex.join(command),
-            is_resumed=target.is_resumed,
-            may_rename=target.may_rename,
-        )
-        for target, plan in plan_unfinished(targets, devices, finish)
-    ]
+    runs = [SweepRun(plan, target, command) for target, plan in plan_unfinished(targets, devices, finish)]
     for run in runs:
         run.note_seconds("planning", runs[0].planned - start)
     planned()

@@ -19,6 +19,7 @@ from bojax.engine.plan import Plan, plain
 from bojax.engine.progress import GroupProgress
 from bojax.engine.signals import StopRequest
 from bojax.engine.storage import FolderStorage, compile_seconds
+from bojax.engine.targets import Target
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.merge import RUNS, ChunkInfo, Merged, PointInfo, committed_files, merge
@@ -39,18 +40,16 @@ class SweepRun:
 
     attempts: AttemptRegistry
 
-    def __init__(self, plan: Plan, path: Path, command: str, *, is_resumed: bool, may_rename: bool):
+    def __init__(self, plan: Plan, target: Target, command: Sequence[str]):
         """Create an object, without writing anything.
 
         Args:
             plan: The plan of the sweep.
-            path: The results folder.
+            target: Its results folder.
             command: The command line, for the manifest.
-            is_resumed: Whether the folder holds an unfinished sweep; otherwise it is created.
-            may_rename: Whether a new folder whose name is taken gets a number appended to the name.
         """
-        self.plan, self.folder, self._command = plan, RunFolder(path), command
-        self._is_resumed, self._may_rename = is_resumed, may_rename
+        self.plan, self.folder, self._target = plan, RunFolder(target.path), target
+        self._command = shlex.join(command)
         self.merged: Merged | None = None
         self._outlines = [outline_of(module) for module in plan.modules]
         self._files: Mapping[int, ChunkFolder] = {}
@@ -82,10 +81,10 @@ class SweepRun:
         Raises:
             ResultsError: The folder belongs to another sweep, or a committed file is missing or has changed.
         """
-        if self._is_resumed:
+        if self._target.is_resumed:
             self.folder.resume(self.plan.content)
         else:
-            self.folder.create(self.plan.content, may_rename=self._may_rename)
+            self.folder.create(self.plan.content, may_rename=self._target.may_rename)
         self.folder.describe(self.plan.device)
         self.attempts = AttemptRegistry(self.folder.work, self.path)
         self._files = committed_files(self.attempts, {chunk.index: chunk.name for chunk in self.plan.chunks})

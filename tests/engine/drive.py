@@ -53,15 +53,12 @@ def plan_toy(out: Path, *points: dict, **settings) -> None:
     """Start a toy sweep that is left to workers."""
     from bojax.engine.plan import make_plan
     from bojax.engine.sweep_run import SweepRun
+    from bojax.engine.targets import Target
     from tests.toy import toy_sweep
 
-    run = SweepRun(
-        make_plan(toy_sweep(*points, **settings), jax.devices()[:1]),
-        out,
-        "bojax sweep toy",
-        is_resumed=False,
-        may_rename=False,
-    )
+    sweep = toy_sweep(*points, **settings)
+    target = Target(sweep, out, is_resumed=False, may_rename=False)
+    run = SweepRun(make_plan(sweep, jax.devices()[:1]), target, COMMAND)
     run.open()
     run.launch()
     run.close()

@@ -22,6 +22,6 @@ class Here(Launcher):
     def check(self, name):
         return
 
-    def start(self, name, folders, groups):
+    def start(self, name, folders, groups, chunks):
         self.num_started += 1
         assert self._work(folders) == 0

@@ -261,7 +261,7 @@ def test_a_driver_that_waits_asks_slurm_until_the_array_has_ended(
     launcher = Slurm(SlurmConfig(tasks=2), waits=True)
     (tmp_path / "queue").write_text("CLUSTER: name\n7\n7\n")
     (tmp_path / WORK).mkdir()
-    launcher.start("round", [tmp_path], 3)
+    launcher.start("round", [tmp_path], 3, 9)
     assert capsys.readouterr().err == "submitted job 7 of 3 tasks, 2 at a time\n"
     assert launcher.is_awaited and launcher.keep() and launcher.keep()
     launcher.close()

@@ -94,7 +94,8 @@ def test_shares_are_even_and_hold_whole_groups():
         assert [chunk for share in shares for chunk in share] == list(range(chunks))
         assert max(map(len, shares)) - min(map(len, shares)) <= 1
     # Four shares for each worker, but none for less than a group, unless a worker would have none.
-    assert [num_shares(2, groups) for groups in (1, 5, 68)] == [2, 5, 8]
+    assert [num_shares(2, groups, 70) for groups in (1, 5, 68)] == [2, 5, 8]
+    assert num_shares(8, 1, 3) == 3
 
 
 @NEEDS_CPU
@@ -159,24 +160,15 @@ def test_a_driver_takes_over_from_a_worker(often, alone, number):
 
 
 @pytest.mark.bits
-def test_a_paused_worker_wakes_up_when_others_have_run_its_chunks(often, alone):
+def test_a_paused_worker_wakes_up_after_another_launch_has_merged_the_sweep(often, alone):
     paused = start_worker(often, "--cores", "1")
     wait_until(lambda: has_checkpoint(often), paused)
     paused.send_signal(signal.SIGSTOP)
-    assert work_on(often) == 0
-    assert len(attempts_of(often).done) == 3 and 2 in attempts_of(often).done.values()
-    paused.send_signal(signal.SIGCONT)
-    assert paused.wait(60) == 0
-    assert merged(often) == alone
-
-
-@pytest.mark.bits
-def test_a_driver_runs_all_chunks_beside_a_worker_of_an_earlier_launch(often, alone):
-    worker = start_worker(often, "--cores", "1")
-    wait_until(lambda: has_checkpoint(often), worker)
     assert run_here(often, resume=True) == 0
-    assert worker.wait(60) == 0
-    assert contents(often) == alone
+    paused.send_signal(signal.SIGCONT)
+    _, errors = paused.communicate(timeout=60)
+    assert paused.returncode == 0 and errors.splitlines()[-1] == "the sweep has ended"
+    assert contents(often) == alone and not (often / WORK).exists()
 
 
 def one_line(capsys) -> str:
@@ -305,8 +297,8 @@ class Late(Here):
         super().__init__(lambda folders: work_on(*folders, cores=1))
         self.out, self.looks_left = out, looks
 
-    def start(self, name, folders, groups):
-        super().start(name, folders, groups)
+    def start(self, name, folders, groups, chunks):
+        super().start(name, folders, groups, chunks)
         for path in (self.out / WORK).glob("*.done"):
             path.rename(path.with_suffix(".late"))
 

@@ -92,7 +92,7 @@ class Ray(Launcher):
         self._shape(ray.cluster_resources(), len(ray.nodes()))  # refuses settings that do not fit the cluster
 
     @override
-    def start(self, name: str, folders: Sequence[Path], groups: int) -> None:
+    def start(self, name: str, folders: Sequence[Path], groups: int, chunks: int) -> None:
         ray = _ray()
         self._paths = [str(folder.absolute()) for folder in folders]
         workers, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
@@ -100,7 +100,7 @@ class Ray(Launcher):
             print(f"{workers} workers on Ray", file=sys.stderr)
             options = {"max_restarts": -1, "max_concurrency": 2, **self._options}
             self._actors = [ray.remote(_Actor).options(**options).remote() for _ in range(workers)]
-        self._count = num_shares(workers, groups)
+        self._count = num_shares(workers, groups, chunks)
         self._shares, self._idle, self._refusing = deque(range(self._count)), [], set()
         self._calls = {actor.__ray_ready__.remote(): (actor, None) for actor in self._actors}
 

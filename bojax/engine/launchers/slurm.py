@@ -84,9 +84,9 @@ class Slurm(Launcher):
         return bool(self._job)
 
     @override
-    def start(self, name: str, folders: Sequence[Path], groups: int) -> None:
+    def start(self, name: str, folders: Sequence[Path], groups: int, chunks: int) -> None:
         self._cancel()
-        shares = num_shares(self._config.tasks, groups)
+        shares = num_shares(self._config.tasks, groups, chunks)
         text = self.script(name, folders, shares)
         for folder in folders:
             write_content(folder / SCRIPT, text)
