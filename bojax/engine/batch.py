@@ -79,6 +79,8 @@ class TracedOnce:
         if self._traced is None:
             one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), lanes)
             trace = jax.make_jaxpr(self._function, axis_env=[(LANES, 1)], return_shape=True)
+            # The axis is there for the name, which `any_lane` needs; the `vmap` below binds the name to the
+            # true number of lanes.
             traced, results = trace(one, shared)
             self._traced = jaxpr_as_fun(traced), jax.tree.structure(results)
         compute, structure = self._traced
@@ -198,6 +200,7 @@ class Programs:
             of_wider = jax.tree.map(lambda leaf: leaf.update(shape=(wider, *leaf.shape[1:])), carry)
             programs["select"] = Program.of_trees(_select, of_wider, lanes.runs)
         else:
+            # A new batch is an empty one whose lanes are all new: one program starts runs, at once or later.
             everywhere = np.ones(self.num_lanes, dtype=bool)
             programs["empty"] = Program.of_trees(partial(_empty, carry))
             programs["fill"] = Program.of_trees(
@@ -316,7 +319,7 @@ def obtain(
         started: Called when tracing starts, after that of others, or when saved programs are loaded.
     """
     start = time.perf_counter()
-    if held := program_cache.held_programs(key, device):
+    if held := program_cache.held_programs(key, device):  # an earlier round of a search
         started()
         return Obtained(held, True, time.perf_counter() - start)
     found, saved = program_cache.load(key), set[str]()
@@ -326,10 +329,11 @@ def obtain(
         saved.update(programs)
     else:
         with TRACING:
-            started()
+            started()  # the time of waiting for the other groups is not that of this one
             start = time.perf_counter()
             programs, carry = trace()
             if key is not None:
+                # A process that was killed may have saved some of them; these are not exported again.
                 kept = {name: program_cache.load_program(key, name) for name in programs}
                 saved.update(name for name, program in kept.items() if program is not None)
                 programs = {name: kept[name] or each.export(device) for name, each in programs.items()}
@@ -344,6 +348,7 @@ def obtain(
     loaded = Loaded(ready, programs, carry)
     program_cache.hold(key, device, loaded)
     are_saved = saved == set(programs)
+    # The list of names is written last: a group counts as saved only once all its programs are.
     if key is not None and are_saved and found is None:
         are_saved = program_cache.save(key, list(programs), len(carry))
     return Obtained(loaded, are_saved, time.perf_counter() - start)
@@ -363,6 +368,7 @@ def _init(group: StaticGroup, lane: Lanes, key_and_shared: tuple[Key[Array, ""],
 
 
 def _fill(init: TracedOnce, key, carry: Carry, lanes: Lanes, is_new, shared: PyTree) -> list[Array]:
+    # All lanes are started and most results thrown away: a mask keeps one program for any number of new runs.
     def choose(fresh, old):
         return jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
 

@@ -212,7 +212,7 @@ class Program:
         def call(*leaves):
             return self.function(*leaves)
 
-        call.__name__ = name
+        call.__name__ = name  # by which `compiled` finds the entry in JAX's cache
         sharding = SingleDeviceSharding(device)
         inputs = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding) for leaf in self.inputs]
         jitted = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding)
@@ -294,6 +294,7 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
     cut short would be compiled again in every later sweep, with a warning. The hashes of the entries are kept
     here, and entries that do not have theirs are deleted.
     """
+    # The tag has no version in it: a change of code that leaves the program as it is still finds the entry.
     own = f"{name}_{key[:_TAG_DIGITS]}" if key else name
     kept = set[Path]()
     for path in _entries_of(own) if key else ():
@@ -306,6 +307,7 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
     with _counting_hits() as hits:
         made = program.compile(own, device)
     if key and not hits:
+        # Only what this compilation has added is trusted: others may write under the same name.
         for path in set(_entries_of(own)) - kept:
             _write(path.name, _hash_of(path) or b"")
     return made, bool(hits)
@@ -333,6 +335,7 @@ def _write(name: str, content: bytes) -> bool:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
             try:
+                # The name is part of the checksum: an entry that was copied to another name is refused.
                 file.write(_checksum(name, content) + content)
                 file.flush()
                 os.replace(file.name, folder / name)

@@ -75,11 +75,14 @@ def run_advances(
         records.append(tables)
         statuses.append(status)
         waiting.append(status)
+        # The next advance is issued before the result of this one is known, so that the device has work while
+        # the host looks. Advances after the last run has ended do nothing and have no valid rows.
         if len(waiting) <= lookahead:
             continue
-        is_done = np.asarray(waiting.popleft().is_done).all()
+        is_done = np.asarray(waiting.popleft().is_done).all()  # waits for the oldest advance only
         finished += 1
         elapsed = time.perf_counter() - start
+        # As many advances as take `LOOKAHEAD_SECONDS` at the mean pace; none if a single one takes longer.
         lookahead = min(MAX_LOOKAHEAD, int(LOOKAHEAD_SECONDS * finished / elapsed))
         if is_done or elapsed > seconds or stop():
             break
@@ -104,9 +107,10 @@ def fetch_rows(
         recorded: Lanes whose runs are recorded.
         of_recorded: Tables of recorded runs only.
     """
-    fetched = jax.device_get(list(records))
+    fetched = jax.device_get(list(records))  # one call for all advances: the copies overlap
     rows: dict[str, Rows] = {}
     for name in fetched[0] if fetched else ():
+        # Columns of recorded runs are padded behind the recorded lanes, see `Programs.recorded`.
         own = recorded if name in of_recorded else np.arange(len(runs))
         real = (runs >= 0)[own, None]
         found = [np.nonzero(advance[name][VALID][: len(own)] & real) for advance in fetched]

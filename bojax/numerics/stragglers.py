@@ -49,8 +49,9 @@ def while_going(
     def goes(leaves: list[Any]) -> Array:
         return is_going(jax.tree.unflatten(structure, leaves))
 
+    # A function with a batching rule of its own must not close over traced arrays. Tracing collects those
+    # that the step reads as constants, which become an argument of the loop.
     zero = np.zeros((), np.int32)
-    # What the step reads becomes an argument.
     traced = jax.make_jaxpr(flat)(zero, leaves)
 
     def computed(number: ArrayLike, leaves: list[Any], read: list[Any]) -> list[Any]:
@@ -66,6 +67,7 @@ def while_going(
 
     @loop.def_vmap
     def _(num_lanes, is_batched, leaves, read):
+        # Arrays that all lanes share, such as a table of features, are not copied for each lane.
         axes = [0 if batched else None for batched in is_batched[1]]
         leaves = [
             leaf if batched else jnp.broadcast_to(leaf, (num_lanes, *leaf.shape))
@@ -87,9 +89,12 @@ def while_going(
         few = num_lanes // SHARE if num_lanes >= LEAST else 0
         number, leaves = until(few, zero, leaves, read)
         if few:
+            # A stable sort puts the lanes that are going first. If they are fewer than `few`, lanes that have
+            # ended fill up the batch, whose shape is fixed; the step leaves them unchanged.
             chosen = jnp.argsort(~jax.vmap(goes)(leaves))[:few]
             own = [x if axis is None else x[chosen] for x, axis in zip(read, axes, strict=True)]
             _, ended = until(0, number, [leaf[chosen] for leaf in leaves], own)
+            # The lanes are distinct, so that XLA may scatter without atomic operations.
             leaves = [
                 leaf.at[chosen].set(new, unique_indices=True) for leaf, new in zip(leaves, ended, strict=True)
             ]
