@@ -231,7 +231,7 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
         cores: Number of cores of the CPU; all that this process may run on by default.
 
     XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU share the one
-    device, and with it the compiled programs. Those of an accelerator take turns (`turn_of`).
+    device, and with it the compiled programs. Those of an accelerator share a `DeviceLock`.
     """
     cpus = of_platform(devices, "cpu")
     workers = [device for device in devices if device not in cpus for _ in range(2)]
@@ -241,19 +241,17 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
     return workers + cpus
 
 
-class Turn:
+class DeviceLock:
     """What a worker holds while it uses a device.
 
     An accelerator runs one chunk at a time, since several at once take as long as one after the other. While
     one worker writes the last rows of a chunk, or waits for a program, the other one uses the device. Workers
-    of a CPU need no turns.
-
-    Args:
-        is_exclusive: Whether one worker holds it at a time.
+    of a CPU hold nothing: each uses a core.
     """
 
-    def __init__(self, *, is_exclusive: bool):
-        self._lock: AbstractContextManager[Any] = threading.Lock() if is_exclusive else nullcontext()
+    def __init__(self, device: Device):
+        is_shared = device.platform == "cpu"
+        self._lock: AbstractContextManager[Any] = nullcontext() if is_shared else threading.Lock()
 
     def __enter__(self) -> None:
         self._lock.__enter__()
@@ -262,18 +260,13 @@ class Turn:
         self._lock.__exit__(None, None, None)
 
     @contextmanager
-    def away(self) -> Iterator[None]:
-        """Context of a worker that holds it, in which another one may use the device."""
+    def released(self) -> Iterator[None]:
+        """Context of the worker that holds it, in which another one may use the device."""
         self.__exit__()
         try:
             yield
         finally:
             self.__enter__()
-
-
-def turn_of(device: Device) -> Turn:
-    """The turn that the workers of a device share."""
-    return Turn(is_exclusive=device.platform != "cpu")
 
 
 @contextmanager

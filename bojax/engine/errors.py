@@ -16,6 +16,10 @@ class EngineError(Exception):
         self.exit_code = exit_code
 
 
+class Stopped(Exception):
+    """A stop was requested before a program was compiled."""
+
+
 def out_of_memory(error: BaseException, lanes_per_device: int) -> EngineError | None:
     """The error to report for a device that ran out of memory; None if `error` has another cause."""
     text = str(error)

@@ -1,39 +1,24 @@
-"""The executor of one machine: worker threads run chunks on its devices, other threads compile ahead."""
+"""The executor of one machine: a thread for each worker runs chunks; a background compiler works ahead."""
 
 import contextlib
 import queue
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from bojax.engine import program_cache
-from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
-from bojax.engine.batch import Functions, Programs
-from bojax.engine.chunks import Chunk, Layout
-from bojax.engine.devices import Device, of_platform, turn_of
-from bojax.engine.groups import StaticGroup
-from bojax.engine.hosted import Hosted
-from bojax.engine.progress import GroupProgress, SweepProgress
-from bojax.engine.runner import ChunkRunner, Limits, Segment
+from bojax.engine.batch import Programs
+from bojax.engine.chunks import Chunk
+from bojax.engine.compiler import POLL_SECONDS, BackgroundCompiler
+from bojax.engine.devices import Device, DeviceLock
+from bojax.engine.errors import Stopped
+from bojax.engine.progress import SweepProgress
+from bojax.engine.runner import ChunkRunner
+from bojax.engine.scheduler import Scheduler
 from bojax.engine.sinks import Sink
-from bojax.engine.storage import Storage
-from bojax.experiments.base import Experiment
-from bojax.numerics.cores import usable_cores
+from bojax.engine.tasks import GroupTask, ProgramKey
 from bojax.results.store import ResultsError
-
-COMPILE_THREADS = 8, 16
-"""Maximum number of compilations side by side: on all cores of a small machine, on half of those of a large
-one."""
-
-AHEAD_ON_CPU, AHEAD_ON_ACCELERATOR = 24, 192
-"""Number of programs that are compiled ahead, and on an accelerator also kept afterwards; they take memory.
-
-A sweep of many groups is held up by tracing, one group after the other, which must go on while groups run. On
-a CPU both share the cores.
-"""
 
 SWITCH_SECONDS = 5e-4
 """Time after which a thread that holds the interpreter gives it up, if another one wants it.
@@ -41,72 +26,8 @@ SWITCH_SECONDS = 5e-4
 With Python's 5 ms, a worker waits so long behind tracing after each call of a program.
 """
 
-
 PATIENCE = 10.0
-"""Seconds after a requested stop after which chunks that still run are named."""
-
-
-@dataclass(eq=False)
-class GroupTask:
-    """The unfinished chunks of a static group.
-
-    Attributes:
-        group: The group.
-        experiment: An experiment of the group.
-        name: Name for messages.
-        seed: Seed of the sweep.
-        layout: How the runs are advanced.
-        platform: Platform of the devices that they are planned for.
-        chunks: Chunks that no thread has taken yet.
-        limits: When a chunk pauses.
-        storage: Where the rows of the chunks go.
-        recorded: Largest number of recorded runs of a chunk.
-        running: Number of chunks that threads have taken.
-        progress: When it is compiled and run.
-    """
-
-    group: StaticGroup
-    experiment: Experiment
-    name: str
-    seed: int
-    layout: Layout
-    platform: str
-    chunks: deque[Chunk]
-    limits: Limits
-    storage: Storage
-    recorded: int = 0
-    running: int = field(default=0, init=False)
-
-    def __post_init__(self):
-        self.functions = Functions(self.group)
-        self.progress = GroupProgress(self.name)
-
-    @property
-    def most_steps(self) -> int:
-        """Upper bound of the environment steps that are left, of all runs together."""
-        num_runs = sum(chunk.num_runs for chunk in self.chunks)
-        return num_runs * self.experiment.max_advances * self.experiment.steps_per_advance
-
-    @property
-    def kind(self) -> type[Programs]:
-        """The class of its programs."""
-        return Hosted if self.is_exclusive else Programs
-
-    @property
-    def is_exclusive(self) -> bool:
-        """Whether only one chunk can run at a time: its environments are on the host."""
-        return self.experiment.is_hosted
-
-
-def compile_threads() -> int:
-    """Number of compilations side by side."""
-    few, many = COMPILE_THREADS
-    return min(max(few, min(many, usable_cores() // 2)), usable_cores())
-
-
-def most_ahead(device: Device) -> int:
-    """Number of programs that are compiled ahead for devices of a platform."""
-    return AHEAD_ON_CPU if device.platform == "cpu" else AHEAD_ON_ACCELERATOR
+"""Seconds after a requested stop after which groups that still run are named."""
 
 
 def execute(
@@ -141,6 +62,12 @@ def execute(
 
 
 class _Executor:
+    """The threads of one machine, and the lock around the scheduler that they share.
+
+    Attributes:
+        error: An error that ends the sweep: of the results folder, or a mistake in the engine.
+    """
+
     def __init__(
         self,
         tasks: Sequence[GroupTask],
@@ -149,29 +76,29 @@ class _Executor:
         stop: Callable[[], bool],
     ):
         self.error: BaseException | None = None
-        self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
-        self._turns = {device: turn_of(device) for device in self._devices}
-        self._is_closed = False
-        of_each = {device.platform: of_platform(self._tasks, device.platform) for device in self._devices}
-        self._ranks = {task: rank for tasks in of_each.values() for rank, task in enumerate(tasks)}
-        self._unused: deque[Hashable] = deque()
+        self._progress, self._num_tasks, self._is_closed = progress, len(tasks), False
         self._stop = lambda: self._is_closed or self.error is not None or stop()
         self._changed = threading.Condition(threading.RLock())
-        self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
+        self._compiler = BackgroundCompiler(self._compile, self._changed, self._stop)
+        self._scheduler = Scheduler(
+            tasks,
+            workers,
+            is_requested=self._compiler.is_requested,
+            is_ready=self._compiler.is_ready,
+            is_saved=_is_saved,
+        )
+        self._locks = {device: DeviceLock(device) for device in workers}
         self._ended: queue.Queue[GroupTask] = queue.Queue()
-        self._saved: set[GroupTask] = set()
-        for task in self._tasks:
-            widths = task.layout.widths
-            if len(self._devices_of(task)) > 1 and all(self._is_saved(task, width) for width in widths):
-                self._saved.add(task)
-        self._request_ahead()
+        self._compile_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
         for worker in self._workers:
             worker.start()
 
     def ended(self) -> Iterator[GroupTask]:
-        left, patience = len(self._tasks), PATIENCE
+        """The groups in the order in which they end. The calling thread shows the progress meanwhile."""
+        left, patience = self._num_tasks, PATIENCE
         while left:
+            # Before the queue is read: a worker may report a group and end in between.
             is_alive = any(worker.is_alive() for worker in self._workers)
             try:
                 yield self._ended.get(timeout=POLL_SECONDS if is_alive else 0.0)
@@ -183,81 +110,25 @@ class _Executor:
                 if self._stop():
                     patience -= POLL_SECONDS
                     if 0.0 >= patience > -POLL_SECONDS:
-                        running = [task.name for task in self._tasks if task.running]
-                        self._progress.say(f"waiting for the end of an advance: {', '.join(running)}")
+                        running = ", ".join(task.name for task in self._scheduler.running)
+                        self._progress.say(f"waiting for the end of an advance: {running}")
 
     def close(self) -> None:
+        """Pause what runs, and wait for the workers, but not for compilations."""
         with self._changed:
             self._is_closed = True
         for worker in self._workers:
             worker.join()
-        self._ahead.close()
+        self._compiler.close()
 
-    # Compilation
+    def _compile_ahead(self) -> None:
+        for key in self._scheduler.ahead():
+            self._compiler.request(key)
 
-    def _request_ahead(self) -> None:
-        """Request the programs of the first unfinished groups, spread over the devices of each platform.
-
-        Programs that an earlier sweep has saved are loaded on several devices at once: on as many as the
-        group has chunks.
-        """
-        left = {device.platform: most_ahead(device) for device in self._devices}
-        for task in self._tasks:
-            if left[task.platform] > 0 and (task.chunks or task.running):
-                most = len(task.chunks) if task in self._saved else 1
-                for device in self._in_turn(task)[: max(1, most)]:
-                    left[task.platform] -= len(task.layout.widths)
-                    for width in task.layout.widths:
-                        self._request(task, device, width, is_shown=device == self._first(task))
-
-    def _is_saved(self, task: GroupTask, width: int) -> bool:
-        """Whether the programs of a group for a number of lanes are in the cache."""
-        wider = task.layout.wider(width)
-        key = task.kind.key_of(task.group, self._first(task), width, task.recorded, wider)
-        return program_cache.is_saved(key)
-
-    def _first(self, task: GroupTask) -> Device:
-        """The device for which a group is compiled first."""
-        return self._in_turn(task)[0]
-
-    def _in_turn(self, task: GroupTask) -> list[Device]:
-        """The devices on which a group may run, rotated so that successive groups begin on different ones."""
-        devices = self._devices_of(task)
-        first = self._ranks[task] % len(devices)
-        return devices[first:] + devices[:first]
-
-    def _devices_of(self, task: GroupTask) -> list[Device]:
-        """The devices on which a group may run."""
-        return of_platform(self._devices, task.platform)
-
-    def _request(self, task: GroupTask, device: Device, width: int, *, is_shown: bool = True) -> None:
-        key = task, device, width
-        self._ahead.request(key, lambda: self._compile(*key, is_shown=is_shown), self._ranks[task])
-
-    def _load(self, task: GroupTask, device: Device, width: int, other: Device) -> None:
-        """Load programs that another device has compiled or compiles, in this thread."""
-        try:
-            can_load = self._ahead.wait((task, other, width)).is_saved
-        except Stopped:
-            raise
-        except BaseException:  # they fail here as well
-            can_load = False
-        if can_load:
-            key = task, device, width
-            self._ahead.compute(key, lambda: self._compile(*key, is_shown=False))
-        else:
-            self._request(task, device, width)
-
-    def _compile(self, task: GroupTask, device: Device, width: int, *, is_shown: bool = True) -> Programs:
-        """Compile the programs of a group for a number of lanes on a device, or load them from the cache.
-
-        Args:
-            task: The group.
-            device: The device.
-            width: Number of lanes.
-            is_shown: Whether the progress of the group is that of this device.
-        """
-        is_shown = is_shown and width == task.layout.lanes
+    def _compile(self, key: ProgramKey) -> Programs:
+        """Compile programs, or load them from the cache. Those that a group starts with are shown once."""
+        task, device, width = key
+        is_shown = width == task.layout.lanes and device == self._scheduler.first(task)
         programs = task.kind(
             task.functions,
             device,
@@ -275,164 +146,103 @@ class _Executor:
                 task.storage.note_compiled(task.group, programs.compile_seconds)
         return programs
 
-    def _programs(self, task: GroupTask, device: Device, width: int) -> Programs:
-        """The programs of a group for a number of lanes on a device, once they are there."""
-        if not self._ahead.is_requested((task, device, width)):
-            others = [
-                other for other in self._devices_of(task) if self._ahead.is_requested((task, other, width))
-            ]
-            if others:  # two devices compile nothing twice
-                self._load(task, device, width, others[0])
-            else:
-                self._request(task, device, width)
-        return self._ahead.wait((task, device, width))
-
-    # Workers
-
     def _work(self, device: Device) -> None:
+        """A worker thread."""
         try:
-            while self._work_on_a_chunk(device) or self._await_chunk(device):
+            while self._run_next(device) or self._await_next(device):
                 pass
         except BaseException as error:  # a mistake in the engine; without it, the sweep would seem to be over
             self.error = error
 
-    def _work_on_a_chunk(self, device: Device) -> bool:
-        """Run a chunk on a device; False if there is none whose programs are compiled."""
-        with contextlib.ExitStack() as turn:
-            turn.enter_context(self._turns[device])
+    def _run_next(self, device: Device) -> bool:
+        """Run a chunk on a device; False if none is ready."""
+        with contextlib.ExitStack() as lock:
+            lock.enter_context(self._locks[device])
             if (taken := self._take(device)) is None:
                 return False
             task, chunk = taken
             sink: Sink | None = None
-            has_failed = False
             try:
                 sink = task.storage.open(chunk)
                 if sink is not None:
                     runner = self._runner(task, chunk, sink, device)
                     runner.advance()
-                    turn.close()
+                    lock.close()  # the last rows are written while another chunk uses the device
                     runner.finish()
+                    task.storage.close(chunk, sink)
             except Stopped:
-                pass
+                task.storage.abandon(chunk)
             except ResultsError as problem:  # of the folder, which all chunks write to
-                has_failed, self.error = True, problem
+                self.error = problem
                 task.storage.abandon(chunk)
             except BaseException as error:  # user's code may raise anything; a thread gets no Ctrl-C
-                has_failed = True
                 self._fail(task, [chunk], error)
-        self._release(task, chunk, sink, has_failed=has_failed)
+        self._release(task)
         return True
 
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
-        """The next chunk of a group whose programs are compiled for a device.
-
-        Groups with the programs for all their numbers of lanes come first: they will not wait for any.
-        """
+        """The next chunk for a device. Groups that cannot be compiled fail here, with all their chunks."""
         with self._changed:
-            while ready := [task for task in self._free(device) if self._is_ready(task, device)]:
-                task = next((task for task in ready if self._is_complete(task)), ready[0])
-                if self._stop():
-                    return None
-                try:
-                    self._ahead.wait((task, device, task.layout.lanes))
-                except BaseException as error:
-                    self._fail_all(task, error)
-                    continue
-                task.running += 1
-                return task, task.chunks.popleft()
+            while not self._stop() and (taken := self._scheduler.take(device)) is not None:
+                task, chunk = taken
+                error = self._compiler.error(task.key(device))
+                if error is None:
+                    return taken
+                chunks = [chunk, *task.chunks]
+                task.chunks.clear()
+                self._fail(task, chunks, error)
+                self._release(task)
         return None
 
-    def _await_chunk(self, device: Device) -> bool:
+    def _await_next(self, device: Device) -> bool:
         """Wait until there may be a chunk for a device; False if none is left, or after a requested stop.
 
-        The device's turn is not held meanwhile: another worker may go on with a chunk that has waited for a
+        The device is not locked meanwhile: another worker may go on with a chunk that has waited for a
         program.
         """
         with self._changed:
-            tasks = of_platform(self._tasks, device.platform)
-            if not any(task.chunks for task in tasks) or self._stop():
+            if self._stop() or self._scheduler.is_over(device):
                 return False
-            free = self._free(device)
-            if any(self._is_ready(task, device) for task in free):
+            found = self._scheduler.to_load(device)
+            if found is None:
+                # Under the lock, so that no compilation ends between the question and the wait.
+                if not self._scheduler.ready(device):
+                    self._changed.wait(POLL_SECONDS)
                 return True
-            unknown = [
-                task for task in free if not self._ahead.is_requested((task, device, task.layout.lanes))
-            ]
-            found = [
-                (task, other)
-                for task in unknown
-                for other in self._devices_of(task)
-                if self._is_ready(task, other)
-            ]
-            if not found:
-                self._changed.wait(POLL_SECONDS)
-                return True
-        task, other = next((each for each in found if self._is_complete(each[0])), found[0])
-        self._load(task, device, task.layout.lanes, other)
+        self._compiler.load(*found)
         return True
 
-    def _free(self, device: Device) -> list[GroupTask]:
-        """The groups of which a chunk can be run on a device."""
-        tasks = of_platform(self._tasks, device.platform)
-        return [task for task in tasks if task.chunks and not (task.is_exclusive and task.running)]
-
-    def _is_ready(self, task: GroupTask, device: Device) -> bool:
-        return self._ahead.is_ready((task, device, task.layout.lanes))
-
-    def _is_complete(self, task: GroupTask) -> bool:
-        """Whether the programs for all numbers of lanes of a group are compiled, each for some device."""
-        return all(
-            any(self._ahead.is_ready((task, device, width)) for device in self._devices_of(task))
-            for width in task.layout.widths
-        )
-
     def _runner(self, task: GroupTask, chunk: Chunk, sink: Sink, device: Device) -> ChunkRunner:
-        def report(segment: Segment) -> None:
-            self._progress.segment(task.progress, segment)
-
         def programs(width: int) -> Programs:
-            if self._ahead.is_ready((task, device, width)):
-                return self._ahead.wait((task, device, width))
-            with self._turns[device].away():
-                return self._programs(task, device, width)
+            key = task.key(device, width)
+            if self._compiler.is_ready(key):
+                return self._compiler.wait(key)
+            with self._locks[device].released():
+                if not self._compiler.is_requested(key):
+                    with self._changed:
+                        source = self._scheduler.source(key)
+                    if source is None:
+                        self._compiler.request(key)
+                    else:
+                        self._compiler.load(key, source)
+                return self._compiler.wait(key)
 
         self._progress.add([], runs_done=sink.state.num_ended)
-        limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, self._stop)
-        return ChunkRunner(chunk, task.experiment, programs, sink, limits, report)
+        limits = replace(task.limits, stop=self._stop)
+        report = self._progress.segment
+        return ChunkRunner(
+            chunk, task.experiment, programs, sink, limits, lambda done: report(task.progress, done)
+        )
 
-    def _release(self, task: GroupTask, chunk: Chunk, sink: Sink | None, *, has_failed: bool) -> None:
-        if sink is not None and not has_failed:
-            try:
-                task.storage.close(chunk, sink)
-            except ResultsError as problem:
-                self.error = problem
+    def _release(self, task: GroupTask) -> None:
+        """Note that a chunk no longer runs; after the last one, report its group and free the programs."""
         with self._changed:
-            task.running -= 1
-            self._end_if_done(task)
+            if self._scheduler.release(task) and not self._stop():
+                for key in self._scheduler.unneeded(task):
+                    self._compiler.drop(key)
+                self._ended.put(task)
+                self._compile_ahead()
             self._changed.notify_all()
-
-    def _end_if_done(self, task: GroupTask) -> None:
-        if task.chunks or task.running or self._stop():
-            return
-        self._drop_programs(task)
-        self._ended.put(task)
-        self._request_ahead()
-
-    def _drop_programs(self, task: GroupTask) -> None:
-        """Do not compile programs of a group that has ended, and free its oldest ones.
-
-        A GPU keeps many: to free one waits for whatever runs or is measured there, which may last until a
-        measurement of XLA's tuning times out, after 0.1 s (openxla/xla#42347).
-        """
-        for device in self._devices_of(task):
-            for width in task.layout.widths:
-                key = task, device, width
-                if self._ahead.is_ready(key) and device.platform != "cpu":
-                    self._unused.append(key)
-                else:
-                    self._ahead.drop(key)
-        while len(self._unused) > AHEAD_ON_ACCELERATOR:
-            self._ahead.drop(self._unused.popleft())
 
     def _fail(self, task: GroupTask, chunks: Sequence[Chunk], error: BaseException) -> None:
         try:
@@ -442,11 +252,9 @@ class _Executor:
             return
         self._progress.failed(task.progress, sum(chunk.num_runs for chunk in chunks), message)
 
-    def _fail_all(self, task: GroupTask, error: BaseException) -> None:
-        """Fail the chunks of a group that cannot be compiled."""
-        chunks = list(task.chunks)
-        task.chunks.clear()
-        self._fail(task, chunks, error)
-        if self.error is not None:
-            return
-        self._end_if_done(task)
+
+def _is_saved(key: ProgramKey) -> bool:
+    """Whether programs are in the cache."""
+    task, device, width = key
+    wider = task.layout.wider(width)
+    return program_cache.is_saved(task.kind.key_of(task.group, device, width, task.recorded, wider))

@@ -104,8 +104,7 @@ def _execute(
     several = len(runs) > 1
     storages = {run.launch(): run for run in runs}
     by_sweep = {
-        run: tasks_of(storage, run.plan.chunks, stop.__bool__, name_sweep=several)
-        for storage, run in storages.items()
+        run: tasks_of(storage, run.plan.chunks, name_sweep=several) for storage, run in storages.items()
     }
     run_of = {task: run for run, tasks in by_sweep.items() for task in tasks}
     tasks = longest_first(by_sweep.values())

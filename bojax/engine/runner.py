@@ -13,10 +13,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from bojax.engine.ahead import Stopped
 from bojax.engine.batch import Lanes, Programs
 from bojax.engine.chunks import Chunk
-from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.errors import FAILURE, EngineError, Stopped
 from bojax.engine.segments import Rows, fetch_rows, run_advances
 from bojax.engine.sinks import Sink
 from bojax.experiments.base import Experiment
@@ -58,12 +57,12 @@ class Limits:
     Attributes:
         segment_seconds: Wall time of a segment.
         checkpoint_seconds: Minimum time between two checkpoints.
-        stop: Whether a stop is requested; checked after every advance.
+        stop: Whether a stop is requested; checked after every advance. By default it never is.
     """
 
     segment_seconds: float
     checkpoint_seconds: float
-    stop: Callable[[], bool]
+    stop: Callable[[], bool] = bool
 
 
 class ChunkRunner:

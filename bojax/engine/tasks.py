@@ -1,25 +1,97 @@
 """The tasks of a process: the static groups of its sweeps, each with the chunks that it still has to run."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from bojax.engine.chunks import Chunk
+from bojax.engine.batch import Functions, Programs
+from bojax.engine.chunks import Chunk, Layout
 from bojax.engine.devices import Device, workers_of
-from bojax.engine.execute import GroupTask
-from bojax.engine.progress import SweepProgress
+from bojax.engine.groups import StaticGroup
+from bojax.engine.hosted import Hosted
+from bojax.engine.progress import GroupProgress, SweepProgress
 from bojax.engine.runner import Limits
-from bojax.engine.storage import FolderStorage
+from bojax.engine.storage import FolderStorage, Storage
+from bojax.experiments.base import Experiment
 
 
-def tasks_of(
-    storage: FolderStorage, chunks: Sequence[Chunk], stop: Callable[[], bool], *, name_sweep: bool = False
-) -> list[GroupTask]:
+@dataclass(eq=False)
+class GroupTask:
+    """The unfinished chunks of a static group.
+
+    Attributes:
+        group: The group.
+        experiment: An experiment of the group.
+        name: Name for messages.
+        seed: Seed of the sweep.
+        layout: How the runs are advanced.
+        platform: Platform of the devices that they are planned for.
+        chunks: Chunks that no thread has taken yet.
+        limits: When a chunk pauses.
+        storage: Where the rows of the chunks go.
+        recorded: Largest number of recorded runs of a chunk.
+        running: Number of chunks that threads have taken.
+        rank: Its place in the order of compilation.
+        progress: When it is compiled and run.
+    """
+
+    group: StaticGroup
+    experiment: Experiment
+    name: str
+    seed: int
+    layout: Layout
+    platform: str
+    chunks: deque[Chunk]
+    limits: Limits
+    storage: Storage
+    recorded: int = 0
+    running: int = field(default=0, init=False)
+    rank: int = field(default=0, init=False)
+
+    def __post_init__(self):
+        self.functions = Functions(self.group)
+        self.progress = GroupProgress(self.name)
+
+    @property
+    def most_steps(self) -> int:
+        """Upper bound of the environment steps that are left, of all runs together."""
+        num_runs = sum(chunk.num_runs for chunk in self.chunks)
+        return num_runs * self.experiment.max_advances * self.experiment.steps_per_advance
+
+    @property
+    def kind(self) -> type[Programs]:
+        """The class of its programs."""
+        return Hosted if self.is_exclusive else Programs
+
+    @property
+    def is_exclusive(self) -> bool:
+        """Whether only one chunk can run at a time: its environments are on the host."""
+        return self.experiment.is_hosted
+
+    def key(self, device: Device, width: int | None = None) -> "ProgramKey":
+        """The programs for a number of lanes, by default the one with which a chunk starts."""
+        return ProgramKey(self, device, self.layout.lanes if width is None else width)
+
+    def keys(self, device: Device) -> list["ProgramKey"]:
+        """The programs for all numbers of lanes."""
+        return [self.key(device, width) for width in self.layout.widths]
+
+
+class ProgramKey(NamedTuple):
+    """The programs of a group for a number of lanes on a device."""
+
+    task: GroupTask
+    device: Device
+    width: int
+
+
+def tasks_of(storage: FolderStorage, chunks: Sequence[Chunk], *, name_sweep: bool = False) -> list[GroupTask]:
     """The groups of a sweep that have chunks to run.
 
     Args:
         storage: Where the rows of the chunks go.
         chunks: The chunks that this process owns; those that have ended are left out.
-        stop: Whether a stop is requested.
         name_sweep: Whether messages name the sweep.
     """
     plan, engine = storage.plan, storage.plan.sweep.engine
@@ -43,7 +115,7 @@ def tasks_of(
                 layout=own[0].layout,
                 platform=plan.device["platform"],
                 chunks=own,
-                limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
+                limits=Limits(engine.segment_seconds, engine.checkpoint_seconds),
                 storage=storage,
                 recorded=recorded[index],
             )

@@ -23,12 +23,13 @@ from bojax.config.component import Component
 from bojax.engine.build import build
 from bojax.engine.chunks import choose_layout, cut
 from bojax.engine.devices import choose, find_devices, suited, workers_of
-from bojax.engine.execute import GroupTask, execute
+from bojax.engine.execute import execute
 from bojax.engine.groups import static_groups
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.sinks import MemorySink
 from bojax.engine.storage import MemoryStorage
+from bojax.engine.tasks import GroupTask
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
@@ -170,7 +171,7 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
         layout=layout,
         platform=devices[0].platform,
         chunks=deque(chunks),
-        limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(storage.errors)),
+        limits=Limits(float("inf") if callback is None else 0.0, float("inf")),
         storage=storage,
     )
     quiet = SweepProgress("train", runs, console=Console(quiet=True))

@@ -83,7 +83,7 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
         tasks = [
             task
             for storage, chunks in owned.items()
-            for task in tasks_of(storage, chunks, stop, name_sweep=several)
+            for task in tasks_of(storage, chunks, name_sweep=several)
         ]
         workers = workers_for(tasks, devices, options.cores)
         with progress_of(owned, tasks) as progress:

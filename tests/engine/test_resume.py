@@ -96,9 +96,8 @@ def test_killed_where_runs_have_taken_lanes_and_moved_to_fewer(tmp_path, monkeyp
     undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
     assert run_sweep_here(undisturbed, **sweep) == 0
     same = "import bojax.engine.plan as p; p.choose_layout = lambda *_: p.Layout(8, (4, 2), 1)"
-    turns = "import bojax.engine.execute as e, bojax.engine.devices as d; "
-    turns += "e.turn_of = lambda _: d.Turn(is_exclusive=True)"
-    process = start_toy(killed, same, turns, **{**sweep, **OFTEN})
+    locks = "import threading, bojax.engine.devices as d; d.nullcontext = threading.Lock"
+    process = start_toy(killed, same, locks, **{**sweep, **OFTEN})
     wait_for_checkpoint(killed, advances=5, most_lanes=2)
     process.kill()
     process.communicate(timeout=60)

@@ -14,12 +14,12 @@ import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
-from bojax.engine import batch, chunks, execute, program_cache
+from bojax.engine import batch, chunks, compiler, execute, program_cache, tasks
 from bojax.engine.chunks import Layout
-from bojax.engine.devices import Turn
+from bojax.engine.devices import DeviceLock
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
-from bojax.engine.storage import FolderStorage
+from bojax.engine.scheduler import Scheduler
 from bojax.engine.targets import Request, choose_targets
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
@@ -148,23 +148,6 @@ def test_any_number_of_devices_gives_the_same_bytes(folder, tmp_path, monkeypatc
     assert contents(tmp_path / "toy") == contents(folder)
 
 
-@NEEDS_CPU
-@pytest.mark.parametrize("saved", [(5, 2), (5,), ()])
-def test_programs_are_requested_for_all_devices_at_once_if_all_are_saved(tmp_path, monkeypatch, saved):
-    requested, request = [], execute._Executor._request
-
-    def noted(executor, task, device, width, **options):
-        if threading.current_thread() is threading.main_thread() and len(task.group.points) == 2:
-            requested.append(device)
-        request(executor, task, device, width, **options)
-
-    monkeypatch.setattr(execute._Executor, "_request", noted)
-    monkeypatch.setattr(execute._Executor, "_is_saved", lambda self, task, width: width in saved)
-    monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(5, (5, 2), 1))
-    assert run_toy(tmp_path / "toy", runs=RUNS, devices=[0, 1]) == 0
-    assert len(set(requested)) == (2 if saved == (5, 2) else 1)
-
-
 class Accelerator:
     """A device that is taken for a GPU."""
 
@@ -187,7 +170,7 @@ def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, mo
     cpu, other = jax.devices("cpu")
     gpu = Accelerator(other)
     monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: [gpu, cpu])
-    monkeypatch.setattr(execute, "Programs", OnReal)
+    monkeypatch.setattr(tasks, "Programs", OnReal)
     monkeypatch.setattr(Toy, "prefers_cpu", property(lambda self: self.max_length == 15))
     quick, usual = toy_sweep({"max_length": 15}, runs=RUNS), toy_sweep(runs=RUNS)
     requests = [Request(quick, tmp_path / "quick"), Request(usual, tmp_path / "usual")]
@@ -218,7 +201,7 @@ def test_any_number_of_workers_gives_the_same_bytes(folder, tmp_path, monkeypatc
 @NEEDS_CPU
 @pytest.mark.bits
 def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path, monkeypatch):
-    turn, begun, ended = Turn(is_exclusive=True), [], []
+    begun, ended = [], []
     next_begins = [threading.Event() for _ in range(3)]
     original = {name: getattr(ChunkRunner, name) for name in ("advance", "finish")}
 
@@ -235,7 +218,7 @@ def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path,
         assert number == 2 or next_begins[number].wait(60.0)  # the other worker goes on with the next chunk
         original["finish"](runner)
 
-    monkeypatch.setattr("bojax.engine.execute.turn_of", lambda _: turn)
+    monkeypatch.setattr(execute, "DeviceLock", lambda device: DeviceLock(Accelerator(device)))
     monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: [devices[0]] * 2)
     monkeypatch.setattr(ChunkRunner, "advance", advance)
     monkeypatch.setattr(ChunkRunner, "finish", finish)
@@ -266,9 +249,9 @@ def test_a_chunk_that_waits_for_a_program_lets_the_other_worker_go_on(tmp_path, 
         if runner._chunk.group == 1:
             has_gone_on.set()
 
-    monkeypatch.setattr(execute, "Programs", Late)
-    monkeypatch.setattr(execute, "compile_threads", lambda: 3)
-    monkeypatch.setattr(execute, "turn_of", lambda _: Turn(is_exclusive=True))
+    monkeypatch.setattr(tasks, "Programs", Late)
+    monkeypatch.setattr(compiler, "compile_threads", lambda: 3)
+    monkeypatch.setattr(execute, "DeviceLock", lambda device: DeviceLock(Accelerator(device)))
     monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: [devices[0]] * 2)
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2), 1))
     monkeypatch.setattr(ChunkRunner, "_narrow", noted_narrow)
@@ -408,7 +391,7 @@ def test_a_group_that_cannot_be_compiled_does_not_stop_the_others(tmp_path, caps
             super().__init__(functions, *others, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(execute, "Programs", Uncompilable)
+        patch.setattr(tasks, "Programs", Uncompilable)
         assert run_toy(tmp_path / "toy", runs=RUNS) == 1
     (line,) = errors(capsys)
     assert "RuntimeError: XLA has a bug" in line
@@ -443,8 +426,8 @@ def test_an_unexpected_error_does_not_wait_for_the_programs_of_the_other_groups(
                 raise RuntimeError("nobody waits any more")
             super().__init__(*arguments, **options)
 
-    monkeypatch.setattr(execute, "Programs", Late)
-    monkeypatch.setattr(execute, "compile_threads", lambda: 1)
+    monkeypatch.setattr(tasks, "Programs", Late)
+    monkeypatch.setattr(compiler, "compile_threads", lambda: 1)
     with pytest.raises(ZeroDivisionError):
         run_two(tmp_path, finish=lambda _: 1 // 0)
     assert not was_waited_for
@@ -452,16 +435,16 @@ def test_an_unexpected_error_does_not_wait_for_the_programs_of_the_other_groups(
 
 
 def test_an_error_of_a_worker_thread_is_not_taken_for_the_end(tmp_path, monkeypatch):
-    def fail(self, chunk, sink):
+    def fail(self, task):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr(FolderStorage, "close", fail)
+    monkeypatch.setattr(Scheduler, "release", fail)
     with pytest.raises(RuntimeError, match="a bug"):
         run_toy(tmp_path / "toy", {"scale": 1.0}, runs=2)
 
 
 def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(execute, "compile_threads", lambda: 1)
+    monkeypatch.setattr(compiler, "compile_threads", lambda: 1)
     lengths = {"short": (18,), "long": (4, 16)}
     sweeps = [
         toy_sweep(*({"max_length": each} for each in of_sweep), runs=2, name=name)
@@ -482,8 +465,8 @@ def test_the_programs_of_a_group_are_compiled_before_those_of_the_next(tmp_path,
             compiled.append((functions.group.index, num_lanes))
             super().__init__(functions, device, num_lanes, *others, **options)
 
-    monkeypatch.setattr(execute, "Programs", Noted)
-    monkeypatch.setattr(execute, "compile_threads", lambda: 1)
+    monkeypatch.setattr(tasks, "Programs", Noted)
+    monkeypatch.setattr(compiler, "compile_threads", lambda: 1)
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2, 1), 1))
     assert run_toy(tmp_path / "toy", {"max_length": 20}, {"max_length": 10}, runs=4) == 0
     assert compiled == [(0, 4), (0, 2), (0, 1), (1, 4), (1, 2), (1, 1)][: len(compiled)]

@@ -10,10 +10,10 @@ import pytest
 
 from bojax.config.settings import Record
 from bojax.config.sweep import load_config
-from bojax.engine.ahead import Stopped
 from bojax.engine.batch import Functions, Programs, run_key
 from bojax.engine.build import build
 from bojax.engine.chunks import Layout, choose_layout, cut
+from bojax.engine.errors import Stopped
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
 from bojax.engine.sinks import FolderSink, MemorySink, Sink
@@ -250,13 +250,17 @@ def test_a_stop_during_the_wait_for_a_program_loses_nothing(tmp_path, missing):
     limits = Limits(float("inf"), float("inf"), lambda: bool(stops))
     run(ChunkRunner(chunk, MODULES[0], without_one, sink, limits, begun.append))
     files = opened()
-    assert stops and files.state.advances == sum(segment.advances for segment in begun) > 0
+    assert stops and files.state.advances > 0
     again = []
     sink = FolderSink(files, Record(runs=0))
     run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, again.append))
     expected, once = run_in_memory(layout)
     assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])
-    for count in ("advances", "finished", "issued_steps"):  # none is repeated, and none is made in more lanes
+    for count in (
+        "active_steps",
+        "finished",
+        "issued_steps",
+    ):  # none is repeated, or made in more lanes
         total = sum(getattr(segment, count) for segment in once)
         assert sum(getattr(segment, count) for segment in [*begun, *again]) == total
 
@@ -266,10 +270,9 @@ def test_a_chunk_of_few_runs_narrows_as_soon_as_it_may():
     layout = Layout(24, (24, 8), 3)
     chunk = replace(chunks_of(PLAIN)[0], layout=layout)
     few = replace(chunk, positions=chunk.positions[:4], points=chunk.points[:4], runs=chunk.runs[:4])
-    sink, segments = MemorySink(), []
-    often = Limits(1e-9, float("inf"), bool)
-    run(ChunkRunner(few, MODULES[0], programs_of(layout), sink, often, segments.append))
-    assert [segment.lanes for segment in segments[:4]] == [24, 24, 8, 8]
+    sink, often = MemorySink(), Limits(1e-9, float("inf"), bool)
+    run(ChunkRunner(few, MODULES[0], programs_of(layout), sink, often, lambda _: None))
+    assert [lanes for lanes, _, _ in sink.state.segments[:4]] == [24, 24, 8, 8]
 
 
 @pytest.mark.parametrize(
