@@ -35,7 +35,7 @@ class Outer(eqx.Module):
 
 
 class OwnConstructor(eqx.Module):
-    values: Float[Array, "N"]
+    values: Float[Array, "N"]  # noqa: F821
 
     def __init__(self, count: int):
         self.values = jnp.zeros(count)
