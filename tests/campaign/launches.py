@@ -318,6 +318,7 @@ class _Slurm(_Launch):
             if self._paused and len(self._tasks()) <= len(self._paused):
                 for task in self._tasks():  # what a user would do with a task that hangs
                     _run("scancel", task)
+                self._paused.clear()  # Slurm wakes them up, to end them
             time.sleep(0.2)
 
     @override

@@ -167,7 +167,7 @@ def test_a_paused_worker_wakes_up_after_another_launch_has_merged_the_sweep(ofte
     assert run_here(often, resume=True) == 0
     paused.send_signal(signal.SIGCONT)
     _, errors = paused.communicate(timeout=60)
-    assert paused.returncode == 0 and errors.splitlines()[-1] == "the sweep has ended"
+    assert (paused.returncode, errors.splitlines()[-1]) == (0, "the sweep has ended")
     assert contents(often) == alone and not (often / WORK).exists()
 
 
