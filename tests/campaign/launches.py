@@ -328,9 +328,13 @@ class _Slurm(_Launch):
         super().close()
 
     def _tasks(self, states: str = "R,CG,PD") -> list[str]:
-        """The tasks of this sweep."""
-        shown = _run("squeue", "-h", "-r", "-t", states, "-o", "%i %Z").splitlines()
-        return [line.split()[0] for line in shown if line.split()[1] == str(self.place)]
+        """The tasks of this sweep; Slurm holds one whose node was lost while it was launched."""
+        shown = _run("squeue", "-h", "-r", "-t", states, "-o", "%i %Z %r").splitlines()
+        own = [line.split(maxsplit=2) for line in shown if line.split()[1] == str(self.place)]
+        for task, _, reason in own:
+            if "held" in reason:
+                _run("scontrol", "release", task)
+        return [task for task, *_ in own]
 
     def _slurm(self, *words: str) -> None:
         if tasks := self._tasks("R"):
