@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import run, scratch
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import run, scratch
 
 _PLANNING = ("--runs", "3", "planner.iterations=4", "problem.max_steps=3")
 _LEARNING = ("--runs", "3", "episodes=3", "env.max_steps=15")
@@ -83,12 +83,14 @@ def _bad_parts(draw: random.Random) -> tuple[str, ...]:
     wrong = draw.choice(["nan", "inf", "minus-inf", "huge", "tiny"])
     share = draw.choice([0.05, 0.5, 1.0])
     if draw.random() < 0.5:
-        kind = f"{{kind: 'tests.campaign.bad_parts:Meadow', share: {share}, wrong: {wrong}, max_steps: 3, "
+        kind = (
+            f"{{kind: 'benchmarks.campaign.bad_parts:Meadow', share: {share}, wrong: {wrong}, max_steps: 3, "
+        )
         kind += "position_noise: 0.0, heading_noise: 0.0}"
         planner = draw.choice(["kcbts", "random", "sbo", "gps-abt"])
         return ("parking", f"problem={kind}", f"planner={planner}", "--runs", "3", *_iterations(planner))
     where = draw.choice(["reward", "observation"])
-    kind = f"{{kind: 'tests.campaign.bad_parts:Rail', share: {share}, wrong: {wrong}, where: {where}, "
+    kind = f"{{kind: 'benchmarks.campaign.bad_parts:Rail', share: {share}, wrong: {wrong}, where: {where}, "
     kind += "max_steps: 15}"
     learner = draw.choice(["emu-q", "rff-q"])
     return ("mountain-car", f"env={kind}", f"learner={learner}", "--runs", "3", "episodes=3", *_FEATURES)

@@ -4,8 +4,8 @@ import math
 import random
 from pathlib import Path
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import run, scratch
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import run, scratch
 
 _NAMES = (
     *(

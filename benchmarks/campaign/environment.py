@@ -5,9 +5,9 @@ import os
 import random
 from pathlib import Path
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import Ended, run, scratch
-from tests.campaign.workloads import WORKLOADS, contents, difference
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import Ended, run, scratch
+from benchmarks.campaign.workloads import WORKLOADS, contents, difference
 
 VARIABLES = (
     *(

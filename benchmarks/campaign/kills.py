@@ -6,10 +6,10 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.campaign import tripwire
-from tests.campaign.case import Outcome, fault_of, raised
-from tests.campaign.process import Ended, run, scratch
-from tests.campaign.workloads import WORKLOADS, Workload, contents, difference, finished
+from benchmarks.campaign import tripwire
+from benchmarks.campaign.case import Outcome, fault_of, raised
+from benchmarks.campaign.process import Ended, run, scratch
+from benchmarks.campaign.workloads import WORKLOADS, Workload, contents, difference, finished
 
 _WORKLOADS = ("toy", "toy", "toy", "tabular", "planning", "monitoring", "learner", "hosted")
 _SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)

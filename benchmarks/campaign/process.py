@@ -77,7 +77,8 @@ class Child:
         self._ended: Ended | None = None
         self.pid = os.fork()
         if self.pid == 0:
-            _be_child(function, place, *(each.fileno() for each in self._streams), is_limited)
+            out, err = (each.fileno() for each in self._streams)
+            _be_child(function, place, out, err, is_limited)
 
     @property
     def wall(self) -> float:

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box
@@ -28,12 +29,12 @@ class Meadow(PoseProblem):
     wrong: str = eqx.field(static=True, default="nan")
     max_steps: int = eqx.field(static=True, default=4)
 
+    @override
     def start(self, key: Key[Array, ""]) -> Pose:
-        """Anywhere near the origin."""
         return jax.random.uniform(key, (3,), self.share.dtype, -1.0, 1.0)
 
+    @override
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
-        """The distance at the end, with its sign changed."""
         del start
         end = path[-1]
         is_wrong = jnp.mod(jnp.abs(end[2]) * 1e3, 1.0) < self.share
@@ -51,28 +52,28 @@ class Rail(Env):
     max_steps: int = eqx.field(static=True, default=20)
 
     @property
+    @override
     def observation_space(self) -> Box:
-        """The position."""
         one = jnp.ones((1,), self.share.dtype)
         return Box(-one, one)
 
     @property
+    @override
     def action_space(self) -> Box:
-        """The push."""
         return self.observation_space
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Float[Array, "1"]:
-        """Somewhere on the left."""
         return jax.random.uniform(key, (1,), self.share.dtype, -1.0, 0.0)
 
+    @override
     def observe(self, state: Float[Array, "1"]) -> Float[Array, "1"]:
-        """All of it."""
         return state
 
+    @override
     def step(
         self, key: Key[Array, ""], state: Float[Array, "1"], action: Float[Array, "1"]
     ) -> tuple[Float[Array, "1"], TimeStep]:
-        """The puck moves a tenth of the push."""
         after = jnp.clip(state + 0.1 * jnp.clip(action, -1.0, 1.0), -1.0, 1.0)
         success = after[0] > 0.9
         reward = success.astype(state.dtype)

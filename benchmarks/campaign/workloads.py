@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.campaign.process import Ended, run
+from benchmarks.campaign.process import Ended, run
 
 OFTEN = ["engine.segment_seconds=0.000001", "engine.checkpoint_seconds=0.000001"]
 """Every advance is a segment and leaves a checkpoint."""

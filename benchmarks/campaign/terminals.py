@@ -10,10 +10,10 @@ import sys
 import time
 from pathlib import Path
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.kills import _duration
-from tests.campaign.process import run, scratch
-from tests.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.kills import _duration
+from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
 
 _WORKLOADS = ("tabular", "tabular", "planning")
 _PIPES = {

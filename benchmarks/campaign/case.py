@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from tests.campaign.process import Ended
+from benchmarks.campaign.process import Ended
 
 MAX_LINE = 420
 """Longest error message, in characters."""

@@ -23,11 +23,11 @@ from pathlib import Path
 
 from typing_extensions import override
 
+from benchmarks.campaign.case import Outcome, raised
+from benchmarks.campaign.process import Child, Ended, scratch
+from benchmarks.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
 from bojax.results.attempts import AttemptRegistry, is_gone
 from bojax.results.store import MANIFEST, WORK, ResultsError, read_json
-from tests.campaign.case import Outcome, raised
-from tests.campaign.process import Child, Ended, scratch
-from tests.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
 
 CHUNKS = 24
 _PATIENCE = 300.0

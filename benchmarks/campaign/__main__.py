@@ -1,4 +1,4 @@
-"""`python -m tests.campaign`: runs the cases and prints how many held; exit code 1 if any fell short."""
+"""`python -m benchmarks.campaign`: runs the cases and prints how many held; exit code 1 if any fell short."""
 
 import argparse
 import importlib
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tests.campaign.case import Outcome
+    from benchmarks.campaign.case import Outcome
 
 KINDS = {
     "configs": 600,
@@ -48,8 +48,8 @@ def main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("MPLBACKEND", "agg")
     os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[2] / ".pytest_cache" / "jax"))
-    from tests.campaign.case import Tally, table
-    from tests.campaign.process import import_all
+    from benchmarks.campaign.case import Tally, table
+    from benchmarks.campaign.process import import_all
 
     import_all()
     if args.quick:
@@ -66,7 +66,7 @@ def main() -> int:
         }
     tallies: dict[str, Tally] = {}
     for kind, seeds in wanted.items():
-        check = importlib.import_module(f"tests.campaign.{kind}").check
+        check = importlib.import_module(f"benchmarks.campaign.{kind}").check
         start, short = time.monotonic(), []
         for number, seed in enumerate(seeds, 1):
             outcome = _checked(check, seed)
@@ -84,13 +84,13 @@ def main() -> int:
         print(f"\n{time.strftime('%d %B %Y')}, commit `{_commit()}`, seed {args.seed}.")
     failed = any(tally.short for tally in tallies.values())
     if failed:
-        print("\nto run a case again: python -m tests.campaign --case KIND:SEED")
+        print("\nto run a case again: python -m benchmarks.campaign --case KIND:SEED")
     return int(failed)
 
 
 def _checked(check: "Callable[[int], Outcome]", seed: int) -> "Outcome":
     """The outcome of a case; a mistake in the campaign itself falls short too, and does not end it."""
-    from tests.campaign.case import Outcome
+    from benchmarks.campaign.case import Outcome
 
     try:
         return check(seed)
@@ -105,7 +105,7 @@ def _commit() -> str:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m tests.campaign", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all cases; 0")
     parser.add_argument("--only", choices=KINDS, help="cases of this kind alone")
     parser.add_argument("--count", type=int, metavar="N", help="cases of each kind")

@@ -8,9 +8,9 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import run, scratch
-from tests.campaign.workloads import WORKLOADS, contents, difference, finished
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.workloads import WORKLOADS, contents, difference, finished
 
 _WORKLOADS = ("toy", "toy", "tabular", "monitoring", "learner")
 _PAGE = 4096

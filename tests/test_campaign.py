@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaign import configs, damage
-from tests.campaign.case import Outcome, Tally, fault_of, table
-from tests.campaign.process import Ended
-from tests.campaign.workloads import difference
+from benchmarks.campaign import configs, damage
+from benchmarks.campaign.case import Outcome, Tally, fault_of, table
+from benchmarks.campaign.process import Ended
+from benchmarks.campaign.workloads import difference
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 
 
 def ended(code: int, err: str = "", *, is_late: bool = False) -> Ended:
@@ -100,7 +100,7 @@ def test_damage_follows_from_the_seed_and_damages(tmp_path):
 def campaign(*words: str) -> list[str]:
     """The words of the table that the campaign prints."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "tests.campaign", *words]
+    command = [sys.executable, "-m", "benchmarks.campaign", *words]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout.split()

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import scratch
-from tests.campaign.workloads import contents, difference, finished, interrupted, merged, resume
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import scratch
+from benchmarks.campaign.workloads import contents, difference, finished, interrupted, merged, resume
 
 _WORKLOADS = (("toy", 12), ("toy", 30), ("tabular", 12), ("learner", 3), ("monitoring", 6))
 """Workloads, with the number of parts at which they were interrupted."""

@@ -9,9 +9,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import Ended, run, scratch
-from tests.campaign.workloads import WORKLOADS, contents, difference, finished
+from typing_extensions import override
+
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import Ended, run, scratch
+from benchmarks.campaign.workloads import WORKLOADS, contents, difference, finished
 
 _WORKLOADS = ("tabular", "planning", "learner")
 _OTHER_USER = 12345
@@ -22,6 +24,7 @@ _IS_OF_ENGINE = re.compile(r"_[0-9a-f]{16}-")
 class _Planted:
     """A pickle that leaves a file where it is loaded."""
 
+    @override
     def __reduce__(self):
         return os.mkdir, ("planted",)
 

@@ -6,10 +6,10 @@ import subprocess
 
 import yaml
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.process import run, scratch
-from tests.campaign.snippets import odd, shown
-from tests.campaign.workloads import WORKLOADS
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.snippets import odd, shown
+from benchmarks.campaign.workloads import WORKLOADS
 
 _KEYS = {
     "slurm": (

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tests.campaign.case import Outcome, fault_of
-from tests.campaign.damage import damage, edit_arrays, edit_json, edit_table
-from tests.campaign.process import run, scratch
-from tests.campaign.workloads import finished
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.damage import damage, edit_arrays, edit_json, edit_table
+from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.workloads import finished
 
 _WORKLOADS = ("tabular", "planning", "monitoring", "learner", "variants")
 
