@@ -102,7 +102,7 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
                     value = number if column.dtype.startswith(("int", "bool")) or column.words else 0.5
                     made[column.name] = np.full(chunk.num_runs, value)
                 rows[name] = to_arrow(KEYS + columns, made)
-            sink.write_part(rows)
+            sink.write_piece(rows)
             sink.state.segments.append([QUEUE, 100, 0.01])
         sink.finish()
         storage.close(chunk, sink)

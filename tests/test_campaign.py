@@ -81,7 +81,7 @@ def test_inputs_follow_from_the_seed(tmp_path, family):
 
 
 def test_damage_follows_from_the_seed_and_damages(tmp_path):
-    original = {f"part-{index:06d}-steps.json": b'{"a": [1, 2], "b": {"c": 3.5}}' for index in range(4)}
+    original = {f"piece-{index:06d}-steps.json": b'{"a": [1, 2], "b": {"c": 3.5}}' for index in range(4)}
     changed = 0
     for seed in range(30):
         found = []

@@ -63,7 +63,7 @@ def _victim(draw: random.Random, folder: Path) -> Path:
         if path.is_file() and not path.is_symlink():
             name = path.relative_to(folder)
             sort = "checkpoint" if any(part.startswith("checkpoint-") for part in name.parts) else path.name
-            sort = re.sub(r"part-\d+", "part", sort) if path.suffix == ".parquet" else sort
+            sort = re.sub(r"piece-\d+", "piece", sort) if path.suffix == ".parquet" else sort
             sorts.setdefault(".npz" if path.suffix == ".npz" else sort, []).append(path)
     return draw.choice(sorts[draw.choice(sorted(sorts))])
 
@@ -155,7 +155,7 @@ def _to_fifo(draw: random.Random, path: Path) -> str:
 
 def _stray(draw: random.Random, path: Path) -> str:
     number = path.name.replace("-000", "-999", 1)
-    name = draw.choice([f"part-foo{path.suffix}", number, f".{path.name}.tmp", f"part-{path.name}"])
+    name = draw.choice([f"piece-foo{path.suffix}", number, f".{path.name}.tmp", f"piece-{path.name}"])
     stray = path.with_name(name)
     if draw.random() < 0.3 and not stray.exists():
         stray.mkdir()

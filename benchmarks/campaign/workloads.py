@@ -149,7 +149,7 @@ def _interrupt_at(out: Path, parts: int) -> None:
     import threading
 
     def watch() -> None:
-        while len(list(out.glob(".work/chunk-*/part-*.parquet"))) < parts:
+        while len(list(out.glob(".work/chunk-*/piece-*.parquet"))) < parts:
             time.sleep(0.001)
         os.kill(os.getpid(), signal.SIGINT)
 

@@ -13,7 +13,7 @@ from jaxtyping import PyTree
 from bojax.config.files import EXPERIMENT
 from bojax.config.yaml_file import dump
 from bojax.numerics import checkpoint
-from bojax.results.parts import ChunkFolder
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import (
     LEARNERS,
     ResultsError,

@@ -10,7 +10,7 @@ from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
 from bojax.engine.plan import plain
 from bojax.engine.provenance import git_revision, versions
-from bojax.results.parts import ChunkState
+from bojax.results.chunk_folder import ChunkState
 from bojax.text import error_line
 
 if TYPE_CHECKING:

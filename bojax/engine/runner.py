@@ -309,7 +309,7 @@ class ChunkRunner:
             points, of_recorded = self._chunk.points[lanes], self._experiment.recorded_tables
             for name, found in fetch_rows(records, tables, points, runs, recorded, of_recorded).items():
                 rows.setdefault(name, []).append(found)
-        self._sink.write_part(
+        self._sink.write_piece(
             {
                 name: to_arrow(KEYS + tables[name], _concatenated(found))
                 for name, found in rows.items()

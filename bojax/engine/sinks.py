@@ -15,7 +15,7 @@ from bojax.config.settings import Record
 from bojax.engine import learners
 from bojax.experiments.base import Carry
 from bojax.numerics import checkpoint
-from bojax.results.parts import ChunkFolder, ChunkState, Staged
+from bojax.results.chunk_folder import ChunkFolder, ChunkState, Staged
 
 _COMMITS = ThreadPoolExecutor(16, "commit")
 """Threads that commit checkpoints while the devices go on; each waits for Orbax and for the disk."""
@@ -36,7 +36,7 @@ class Sink(abc.ABC):
     saved_learners: int
 
     @abc.abstractmethod
-    def write_part(self, tables: dict[str, pa.Table]) -> None:
+    def write_piece(self, tables: dict[str, pa.Table]) -> None:
         """Write the rows of a segment."""
 
     @abc.abstractmethod
@@ -82,10 +82,10 @@ class FolderSink(Sink):
         self._commit: Future[None] | None = None
 
     @override
-    def write_part(self, tables: dict[str, pa.Table]) -> None:
+    def write_piece(self, tables: dict[str, pa.Table]) -> None:
         if self._commit is not None and self._commit.done():
             self.wait()  # tells of a full disk before the next checkpoint
-        self._files.write_part(tables)
+        self._files.write_piece(tables)
 
     @override
     def write_snapshot(
@@ -138,7 +138,7 @@ class MemorySink(Sink):
     """Keeps everything in memory.
 
     Attributes:
-        tables: The parts of each table.
+        tables: The pieces of each table.
         snapshots: The named arrays of each `(point, run, name, when)`.
         learned: The exported state of the learner of each `(point, run)`.
     """
@@ -152,7 +152,7 @@ class MemorySink(Sink):
         self._checkpoint: Carry | None = None
 
     @override
-    def write_part(self, tables: dict[str, pa.Table]) -> None:
+    def write_piece(self, tables: dict[str, pa.Table]) -> None:
         for name, rows in tables.items():
             self.tables.setdefault(name, []).append(rows)
 

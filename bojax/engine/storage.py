@@ -20,8 +20,8 @@ from bojax.engine.groups import StaticGroup
 from bojax.engine.plan import Plan
 from bojax.engine.sinks import FolderSink, MemorySink, Sink
 from bojax.results.attempts import AttemptRegistry
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.folder import Launch, RunFolder
-from bojax.results.parts import ChunkFolder
 from bojax.results.store import ResultsError, read_json, write_content, write_json
 from bojax.text import error_line
 

@@ -21,9 +21,9 @@ from bojax.engine.signals import StopRequest
 from bojax.engine.storage import FolderStorage, compile_seconds
 from bojax.engine.targets import Target
 from bojax.results.attempts import AttemptRegistry
+from bojax.results.chunk_folder import ChunkFolder, ChunkState
 from bojax.results.folder import RunFolder
 from bojax.results.merge import RUNS, ChunkInfo, Merged, PointInfo, committed_files, merge
-from bojax.results.parts import ChunkFolder, ChunkState
 from bojax.results.store import MANIFEST, write_json
 
 

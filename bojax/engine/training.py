@@ -145,8 +145,8 @@ class _Sink(MemorySink):
         self._callback, self._lock = callback, lock
 
     @override
-    def write_part(self, tables: dict[str, pa.Table]) -> None:
-        super().write_part(tables)
+    def write_piece(self, tables: dict[str, pa.Table]) -> None:
+        super().write_piece(tables)
         with self._lock:
             self._callback(sort_rows(tables["episodes"].drop_columns("point")))
 

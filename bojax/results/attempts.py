@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import pydantic
 
-from bojax.results.parts import ChunkFolder
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import ResultsError, explained, read_json, write_json
 
 MOST_LOSSES = 2
@@ -46,14 +46,14 @@ class Attempt:
         launch: Identifies the launch.
         host: Name of the machine.
         process: Identifies the process on its machine; None if unknown.
-        parts: Number of parts that earlier attempts had committed.
+        pieces: Number of pieces that earlier attempts had committed.
         losses: Number of owners that the chunk had lost in this launch, in succession and without a commit.
     """
 
     launch: str
     host: str
     process: list[str] | None
-    parts: int = 0
+    pieces: int = 0
     losses: int = 0
 
     @property
@@ -184,12 +184,12 @@ class AttemptRegistry:
         files = ChunkFolder(self.path(chunk, number), self._results, chunk)
         try:
             found = self.committed(chunk)
-            parts = found.state.parts if found else 0
+            pieces = found.state.pieces if found else 0
             losses, is_paused = 0, self.paused.get(chunk) == before
             last = self.attempt(chunk, before)
             if last is not None and last.launch == launch and not is_paused:
-                losses = last.losses + 1 if last.parts == parts else 1
-            own = Attempt(launch, socket.gethostname(), process_identity(os.getpid()), parts, losses)
+                losses = last.losses + 1 if last.pieces == pieces else 1
+            own = Attempt(launch, socket.gethostname(), process_identity(os.getpid()), pieces, losses)
             write_json(files.path / _ATTEMPT, asdict(own), durably=False)
             if losses == MOST_LOSSES:
                 self.end(

@@ -119,7 +119,7 @@ class RunFolder:
             return read_checked_json(path)
         except ResultsError as error:
             # Chunks stay valid: the name of a chunk's folder is a hash of everything that its rows depend on.
-            message = f"{path}: damaged: delete this file and resume; parts of another sweep are not used"
+            message = f"{path}: damaged: delete this file and resume; pieces of another sweep are not used"
             raise ResultsError(message) from error
 
     def join(self, plan: Mapping[str, Any], device: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Merging: the committed parts of all chunks become the tables of a results folder."""
+"""Merging: the committed pieces of all chunks become the tables of a results folder."""
 
 import json
 import os
@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bojax.results.attempts import AttemptRegistry
-from bojax.results.parts import ChunkFolder
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import (
     WORK,
     explained,
@@ -77,7 +77,7 @@ def merge(
 ) -> Merged:
     """Write every table from the chunks that are done, and move their snapshots.
 
-    The tables depend only on the rows of the parts, which are sorted: an interrupted and resumed sweep gives
+    The tables depend only on the rows of the pieces, which are sorted: an interrupted and resumed sweep gives
     the same bytes as an uninterrupted one.
 
     Args:
@@ -95,9 +95,9 @@ def merge(
     done = [
         files[chunk.index] for chunk in chunks if chunk.index in files and files[chunk.index].state.is_done
     ]
-    parts = {name: [part for each in done for part in each.parts(name)] for name in dict.fromkeys(names)}
+    pieces = {name: [piece for each in done for piece in each.pieces(name)] for name in dict.fromkeys(names)}
     moves = [(each.committed(name), folder / name) for each in done for name in each.snapshots()]
-    nans = _write_tables(folder, parts, points, seed)
+    nans = _write_tables(folder, pieces, points, seed)
     write_table(folder / f"{TIMINGS}.parquet", _timings(chunks, files))
     for source, target in moves:
         if source != target:  # otherwise an earlier merge has moved it
@@ -112,7 +112,7 @@ def merge(
         },
         nans=nans,
         num_ignoring=_num_ignoring_samples(folder),
-        sha256=_checksums(folder, [*parts, TIMINGS], done),
+        sha256=_checksums(folder, [*pieces, TIMINGS], done),
     )
 
 
@@ -131,19 +131,19 @@ def committed_files(attempts: AttemptRegistry, chunks: Mapping[int, str]) -> dic
 
 
 def _write_tables(
-    folder: Path, parts: Mapping[str, Sequence[Path]], points: Sequence[PointInfo], seed: int
+    folder: Path, pieces: Mapping[str, Sequence[Path]], points: Sequence[PointInfo], seed: int
 ) -> dict[tuple[int, int], int]:
     """Write every table, and return the number of NaNs of each (point, run) that has any."""
     nans: dict[tuple[int, int], int] = {}
 
     def merged(name: str) -> Iterator[pa.Table]:
-        for rows in sorted_rows(parts[name]):
+        for rows in sorted_rows(pieces[name]):
             for run, count in count_nans([rows]).items():
                 nans[run] = nans.get(run, 0) + count
             yield _runs(rows, points, seed, nans) if name == RUNS else _labelled(rows, points)
 
-    for name in sorted(parts, key=lambda name: name == RUNS):  # last, since it has the NaNs of all tables
-        if parts[name]:
+    for name in sorted(pieces, key=lambda name: name == RUNS):  # last, since it has the NaNs of all tables
+        if pieces[name]:
             write_tables(folder / f"{name}.parquet", merged(name))
     return nans
 
@@ -174,20 +174,20 @@ def _num_ignoring_samples(folder: Path) -> int:
     return int(np.sum(read_table(path, [column])[column].to_numpy() > 0))
 
 
-def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
-    """The rows of all parts in the order of results, in tables that do not overlap.
+def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
+    """The rows of all pieces in the order of results, in tables that do not overlap.
 
-    Parts are read in the order of their first rows. Rows that precede the first row of every unread part are
-    complete, so that they can be yielded.
+    Pieces are read in the order of their first rows. Rows that precede the first row of every unread piece
+    are complete, so that they can be yielded.
 
     Args:
-        parts: Files of one table.
+        pieces: Files of one table.
         most: Number of newly read rows above which the complete ones are yielded.
     """
     schemas: dict[pa.Schema, None] = {}
     order: list[tuple[int, int]] = []
-    for index, part in enumerate(parts):
-        footer = read_footer(part)
+    for index, piece in enumerate(pieces):
+        footer = read_footer(piece)
         schemas[footer.schema.to_arrow_schema()] = None
         order.append((_first_run(footer), index))
     order.sort()
@@ -196,7 +196,7 @@ def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Tab
     held: list[pa.Table] = []
     count = kept = 0
     for (_, index), bound in zip(order, bounds, strict=True):
-        held.append(read_table(parts[index]))
+        held.append(read_table(pieces[index]))
         count += held[-1].num_rows
         if bound is not None and count - kept <= most:
             continue
@@ -221,7 +221,7 @@ def _key(point, run):
 
 
 def _first_run(footer: pq.FileMetaData) -> int:
-    """A lower bound of the keys in a part, from the statistics in its footer."""
+    """A lower bound of the keys in a piece, from the statistics in its footer."""
     groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
     of_point, of_run = ([group.column(column).statistics for group in groups] for column in (0, 1))
     first, last = min(each.min for each in of_point), max(each.max for each in of_point)

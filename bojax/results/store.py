@@ -21,7 +21,7 @@ MANIFEST = "manifest.json"
 ARRAYS = "arrays"
 LEARNERS = "learners"
 WORK = ".work"
-"""Name of the hidden folder of parts and checkpoints, which only an unfinished results folder has."""
+"""Name of the hidden folder of pieces and checkpoints, which only an unfinished results folder has."""
 
 OUTPUT = "slurm-{}.out"
 """Name of the file in `.work` that holds the output of a task of Slurm."""

@@ -59,7 +59,7 @@ def test_chunks_of_every_kind(folder, capsys):
     folder.join(PLAN, {})
     attempts = AttemptRegistry(folder.work, folder.path)
     done, running, silent, failed, gone = (attempts.begin(name, "launch") for name in NAMES)
-    done.write_part({"steps": pa.table({"x": [1]})})
+    done.write_piece({"steps": pa.table({"x": [1]})})
     done.commit()
     attempts.end(done, "done", {"seconds": 40.0})
     attempts.end(failed, "failed", {"error": "boom"})

@@ -10,8 +10,8 @@ from bojax.config.errors import ConfigError
 from bojax.engine.chunks import Layout, cut
 from bojax.engine.groups import static_groups
 from bojax.engine.manifest import describe_groups, describe_sweep, outline_of
+from bojax.results.chunk_folder import ChunkState
 from bojax.results.outline import Outline
-from bojax.results.parts import ChunkState
 from tests.toy import toy, toy_sweep
 
 

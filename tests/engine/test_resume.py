@@ -328,22 +328,22 @@ def turn_into_folder(path: Path) -> None:
 
 FIRST, SECOND = "chunk-00000-*-1", "chunk-00001-*-1"
 DAMAGES = {
-    "the first part is missing": (f"{SECOND}/part-000000-steps.parquet", Path.unlink),
-    "a part is missing": (f"{SECOND}/part-000001-steps.parquet", Path.unlink),
-    "the summaries of a finished chunk are missing": (f"{FIRST}/part-*-runs.parquet", Path.unlink),
-    "a part is a copy of the next": (
-        f"{SECOND}/part-000000-steps.parquet",
-        lambda path: shutil.copy(path.with_name("part-000001-steps.parquet"), path),
+    "the first piece is missing": (f"{SECOND}/piece-000000-steps.parquet", Path.unlink),
+    "a piece is missing": (f"{SECOND}/piece-000001-steps.parquet", Path.unlink),
+    "the summaries of a finished chunk are missing": (f"{FIRST}/piece-*-runs.parquet", Path.unlink),
+    "a piece is a copy of the next": (
+        f"{SECOND}/piece-000000-steps.parquet",
+        lambda path: shutil.copy(path.with_name("piece-000001-steps.parquet"), path),
     ),
-    "a part is a copy of another chunk's": (
-        f"{SECOND}/part-000000-steps.parquet",
+    "a piece is a copy of another chunk's": (
+        f"{SECOND}/piece-000000-steps.parquet",
         lambda path: shutil.copy(next(path.parents[1].glob(f"{FIRST}/{path.name}")), path),
     ),
-    "a part is truncated": (f"{FIRST}/part-000000-steps.parquet", lambda path: os.truncate(path, 99)),
-    "a part is empty": (f"{FIRST}/part-000001-steps.parquet", lambda path: os.truncate(path, 0)),
-    "a part is a folder": (f"{FIRST}/part-000001-steps.parquet", turn_into_folder),
-    "a bit of a part is flipped": (f"{FIRST}/part-000001-steps.parquet", lambda path: flip(path, 0.1)),
-    "a bit of a footer is flipped": (f"{FIRST}/part-000001-steps.parquet", lambda path: flip(path, 0.9)),
+    "a piece is truncated": (f"{FIRST}/piece-000000-steps.parquet", lambda path: os.truncate(path, 99)),
+    "a piece is empty": (f"{FIRST}/piece-000001-steps.parquet", lambda path: os.truncate(path, 0)),
+    "a piece is a folder": (f"{FIRST}/piece-000001-steps.parquet", turn_into_folder),
+    "a bit of a piece is flipped": (f"{FIRST}/piece-000001-steps.parquet", lambda path: flip(path, 0.1)),
+    "a bit of a footer is flipped": (f"{FIRST}/piece-000001-steps.parquet", lambda path: flip(path, 0.9)),
     "a snapshot is missing": (f"{FIRST}/arrays/0-0-walk-end.npz", Path.unlink),
     "a snapshot is another's": (
         f"{FIRST}/arrays/0-0-walk-end.npz",
@@ -420,9 +420,9 @@ def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
             path.mkdir()
     (copy / WORK / "lock").unlink()
     (copy / ".work-done" / "chunk").mkdir(parents=True)
-    (second / "part-foo.parquet").write_text("stray")
-    (second / "part-000009-steps.parquet").mkdir()
-    shutil.copy(first / "part-000000-steps.parquet", second / "part-000008-steps.parquet")  # not committed
+    (second / "piece-foo.parquet").write_text("stray")
+    (second / "piece-000009-steps.parquet").mkdir()
+    shutil.copy(first / "piece-000000-steps.parquet", second / "piece-000008-steps.parquet")  # not committed
     shutil.copy(first / "arrays" / "0-0-walk-end.npz", second / "arrays" / "1-9-walk-end.npz")
     (second / "checkpoint-00000099").write_text("stray")
     (second / "learners-00000099.orbax-checkpoint-tmp" / "state").mkdir(parents=True)

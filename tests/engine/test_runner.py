@@ -17,7 +17,7 @@ from bojax.engine.errors import Stopped
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
 from bojax.engine.sinks import FolderSink, MemorySink, Sink
-from bojax.results.parts import ChunkFolder
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.tables import sort_rows
 from tests.tiers import by_tier
 from tests.toy import Toy, toy

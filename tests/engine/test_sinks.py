@@ -16,7 +16,7 @@ from jaxtyping import Array
 from bojax.config.settings import Record
 from bojax.engine.learners import EVALUATION_EPISODES, LEARNED, load_learner, merge_learners
 from bojax.engine.sinks import FolderSink
-from bojax.results.parts import ChunkFolder
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import ResultsError
 from tests.examples.pages import ROOT, blocks
 
@@ -120,7 +120,7 @@ def test_a_full_disk_is_told_when_the_next_rows_are_written(tmp_path, monkeypatc
     while not sink._commit.done():  # pyright: ignore[reportOptionalMemberAccess]
         pass
     with pytest.raises(ResultsError, match="the disk is full"):
-        sink.write_part({})
+        sink.write_piece({})
     assert not ChunkFolder(sink._files.path, tmp_path).read()
 
 

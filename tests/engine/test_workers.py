@@ -244,7 +244,7 @@ def test_a_failed_chunk_does_not_stop_the_others_and_is_told(planned, alone, cap
 
 def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
     """Another launch has run its chunk and merged the sweep."""
-    from bojax.results.parts import ChunkFolder
+    from bojax.results.chunk_folder import ChunkFolder
 
     def gone(self):
         (planned / WORK).rename(planned / "gone")

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from bojax.results.attempts import AttemptRegistry, is_gone, process_identity
-from bojax.results.parts import ChunkFolder
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import ResultsError, write_json
 
 CHUNK, OTHER = "chunk-00000-0123456789ab", "chunk-00001-ba9876543210"
@@ -32,7 +32,7 @@ def begin(work: Path, launch: str = "first") -> ChunkFolder:
 
 
 def commit(files: ChunkFolder, text: str, *, is_done: bool = False) -> None:
-    files.write_part({"steps": pa.table({"text": [text]})})
+    files.write_piece({"steps": pa.table({"text": [text]})})
     files.state.is_done = is_done
     files.commit()
 
@@ -61,10 +61,10 @@ def test_the_next_attempt_goes_on_from_the_last_commit_and_a_zombie_writes_in_it
     before = registry(work)
     first = begin(work)
     commit(first, "committed")
-    first.write_part({"steps": pa.table({"text": ["not committed"]})})
+    first.write_piece({"steps": pa.table({"text": ["not committed"]})})
     second = before.begin(CHUNK, "second")  # it has not seen the first
     assert second is not None and second.path == work / f"{CHUNK}-2"
-    assert second.state.parts == 1 and rows(work) == ["committed"]
+    assert second.state.pieces == 1 and rows(work) == ["committed"]
     commit(second, "by the second")
     first.commit()  # the zombie wakes up, in the middle and at the end
     assert rows(work) == ["committed", "by the second"]
@@ -81,7 +81,7 @@ def test_a_paused_attempt_is_taken_over_and_deleted(work):
     registry(work).end(first, "paused", {})
     assert registry(work).paused == {CHUNK: 1}
     second = begin(work)
-    assert second.state.parts == 1 and not first.path.exists() and rows(work) == ["half"]
+    assert second.state.pieces == 1 and not first.path.exists() and rows(work) == ["half"]
 
 
 def test_a_chunk_whose_owner_is_lost_twice_in_a_launch_without_a_commit_has_failed(work):
@@ -144,7 +144,7 @@ def test_what_is_missing_or_damaged_holds_up_nobody(work):
 def test_damaged_files_of_a_predecessor_are_named(work):
     files = begin(work)
     commit(files, "half")
-    (files.path / "part-000000-steps.parquet").write_text("")
+    (files.path / "piece-000000-steps.parquet").write_text("")
     attempts = registry(work)
     with pytest.raises(
         ResultsError, match=f"changed since it was written; delete the folder {files.path} and"
@@ -159,7 +159,7 @@ def test_where_there_are_no_links_files_are_copied(work, monkeypatch):
 
     monkeypatch.setattr(os, "link", refuse)
     commit(begin(work), "half")
-    assert begin(work).state.parts == 1 and rows(work) == ["half"]
+    assert begin(work).state.pieces == 1 and rows(work) == ["half"]
 
 
 def test_stray_files_are_no_attempts(work):

@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.merge import ChunkInfo, PointInfo, merge, sorted_rows
-from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Column
 from bojax.results.store import (
     WORK,
@@ -95,7 +95,7 @@ def attempt(folder, index=0, number=1):
 
 def done(files, *parts, table="steps"):
     for part in parts:
-        files.write_part({table: part})
+        files.write_piece({table: part})
     files.state.is_done = True
     files.commit()
     return files
@@ -124,14 +124,14 @@ def test_uncommitted_parts_are_ignored(tmp_path):
     chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
     chunk.open()
     done(chunk, steps((0, 0, 1, 0.0)))
-    chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
+    chunk.write_piece({"steps": steps((0, 0, 2, 0.0))})
     (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
     (tmp_path / "chunk" / "checkpoint-00000007" / "stray").write_text("stray")
     again = ChunkFolder(tmp_path / "chunk", tmp_path)
     again.open()
     assert [table.num_rows for table in again.tables("steps")] == [1]
     names = sorted(path.name for path in (tmp_path / "chunk").iterdir())
-    assert names == ["part-000000-steps.parquet", "state.json"]
+    assert names == ["piece-000000-steps.parquet", "state.json"]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_runs_whose_belief_left_out_samples_are_counted(tmp_path):
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
     chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
     chunk.open()
-    chunk.write_part({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
+    chunk.write_piece({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
     chunk.commit()
     assert [table["step"].to_pylist() for table in chunk.tables("steps")] == [[1]]
 
@@ -211,17 +211,17 @@ def test_the_checkpoint_before_stays_until_the_next_one_is_committed(tmp_path):
     chunk.open()
     chunk.state.advances = 1
     chunk.commit(add_folder(chunk, "first"))
-    chunk.write_part({"steps": steps((0, 0, 1, 0.0))})
+    chunk.write_piece({"steps": steps((0, 0, 1, 0.0))})
     chunk.state.advances = 2
     second = add_folder(chunk, "second")
     chunk.state.advances = 3  # the chunk goes on before the second one is committed
-    chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
+    chunk.write_piece({"steps": steps((0, 0, 2, 0.0))})
     assert read() == (1, "first")
     chunk.commit(second)
     assert read() == (2, "second")
     assert [path.name for path in tmp_path.glob("chunk/checkpoint-*")] == ["checkpoint-00000002"]
     chunk.commit()
-    assert len(list(chunk.parts("steps"))) == 2
+    assert len(list(chunk.pieces("steps"))) == 2
 
     heir = ChunkFolder(tmp_path / "heir", tmp_path, "chunk")
     heir.path.mkdir()
@@ -234,12 +234,12 @@ def test_the_checkpoint_before_stays_until_the_next_one_is_committed(tmp_path):
 @pytest.mark.parametrize("damage", ["deleted", "flipped"])
 def test_a_damaged_part_is_not_merged(tmp_path, damage):
     files = done(attempt(tmp_path), steps((0, 0, 1, 0.0)), steps((0, 0, 2, 0.0)))
-    path = files.path / "part-000001-steps.parquet"
+    path = files.path / "piece-000001-steps.parquet"
     if damage == "deleted":
         path.unlink()
     else:
         flip(path, 10)
-    with pytest.raises(ResultsError, match="part-000001-steps.parquet: .* delete the folder"):
+    with pytest.raises(ResultsError, match="piece-000001-steps.parquet: .* delete the folder"):
         merge(tmp_path, CHUNKS, ["steps"], POINTS, seed=0)
     assert not (tmp_path / "steps.parquet").exists()
 
@@ -343,7 +343,7 @@ def test_rows_are_merged_as_a_stream(tmp_path):
             rows = [(*key, step, draw.normal()) for key in group[start : start + 7] for step in (1, 2, 3)]
             draw.shuffle(rows)
             for half in (rows[::2], rows[1::2]):
-                parts.append(tmp_path / f"part-{len(parts)}.parquet")
+                parts.append(tmp_path / f"piece-{len(parts)}.parquet")
                 whole.append(steps(*((int(p), int(r), int(s), x) for p, r, s, x in half)))
                 write_table(parts[-1], whole[-1])
     expected = sort_rows(pa.concat_tables(whole))

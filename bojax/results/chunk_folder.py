@@ -1,4 +1,4 @@
-"""The working folder of a chunk: part files, and the state file that commits them."""
+"""The working folder of a chunk: pieces of its tables, and the state file that commits them."""
 
 import os
 import re
@@ -28,7 +28,7 @@ from bojax.results.store import (
     write_table,
 )
 
-_PART = re.compile(r"part-\d{6,}-(.+)\.parquet")
+_PIECE = re.compile(r"piece-\d{6,}-(.+)\.parquet")
 _CHECKPOINT, _LEARNERS = "checkpoint-", f"{LEARNERS}-"
 """Prefixes of the folders that Orbax writes."""
 
@@ -38,18 +38,18 @@ class ChunkState:
     """The committed progress of a chunk.
 
     Attributes:
-        parts: Number of committed parts.
+        pieces: Number of committed pieces.
         advances: Number of advances at the checkpoint.
         lanes: For each lane at the checkpoint, the index of its run in the chunk; -1 for none.
         started: For each lane, the number of advances at which its run started.
         next_run: Index of the next run that waits for a lane.
         checkpoint: Folder of the checkpoint to resume from; None before the first and after the last.
-        is_done: Whether the parts hold all rows of the chunk.
+        is_done: Whether the pieces hold all rows of the chunk.
         segments: `[lanes, active steps, seconds]` of each segment.
         files: Size and SHA-256 of every committed file, by path in the folder of the chunk.
     """
 
-    parts: int = 0
+    pieces: int = 0
     advances: int = 0
     lanes: list[int] = field(default_factory=list)
     started: list[int] = field(default_factory=list)
@@ -88,7 +88,7 @@ class Staged:
 
 
 class ChunkFolder:
-    """Part files `part-<number>-<table>.parquet`, snapshots, learners, checkpoints, and `state.json`.
+    """Pieces of tables `piece-<number>-<table>.parquet`, snapshots, learners, checkpoints, and `state.json`.
 
     Checkpoints, and the learners of each commit, are folders that Orbax writes.
 
@@ -161,12 +161,12 @@ class ChunkFolder:
         self._write_state(self.state)
         return True
 
-    def write_part(self, tables: dict[str, pa.Table]) -> None:
-        """Write a part, to be committed by the next commit."""
+    def write_piece(self, tables: dict[str, pa.Table]) -> None:
+        """Write a piece, to be committed by the next commit."""
         for table, rows in tables.items():
             if rows.num_rows:
-                write_table(self.add(f"part-{self.state.parts:06d}-{table}.parquet"), rows)
-        self.state.parts += 1
+                write_table(self.add(f"piece-{self.state.pieces:06d}-{table}.parquet"), rows)
+        self.state.pieces += 1
 
     def write_snapshot(
         self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
@@ -237,20 +237,20 @@ class ChunkFolder:
             raise self._refusal(path, "missing" if found is None else "changed since it was written")
         return path
 
-    def parts(self, name: str) -> Iterator[Path]:
+    def pieces(self, name: str) -> Iterator[Path]:
         """The committed files of a table, in the order in which they were written.
 
         Raises:
             ResultsError: A file is missing or has changed.
         """
         for file in self.state.files:
-            match = _PART.fullmatch(file)
+            match = _PIECE.fullmatch(file)
             if match and match[1] == name:
                 yield self.committed(file)
 
     def tables(self, name: str) -> Iterator[pa.Table]:
-        """The committed parts of a table, in the order in which they were written."""
-        yield from map(read_table, self.parts(name))
+        """The committed pieces of a table, in the order in which they were written."""
+        yield from map(read_table, self.pieces(name))
 
     def snapshots(self) -> list[str]:
         """Names of the committed snapshots."""
@@ -301,7 +301,7 @@ class ChunkFolder:
         with explained(self.path, "deleted"):
             for path in self.path.rglob("*"):
                 name = path.relative_to(self.path).as_posix()
-                is_ours = _PART.fullmatch(name) or name.startswith(f"{ARRAYS}/")
+                is_ours = _PIECE.fullmatch(name) or name.startswith(f"{ARRAYS}/")
                 if is_ours and name not in self.state.files and not path.is_dir():
                     path.unlink()
             self._drop_trees()
