@@ -13,8 +13,8 @@ from bojax.report.text import number
 def latency(results: Results, test: Latency) -> Finding:
     """Whether the median time of an advance is below a bound, or how several compare.
 
-    The interval of a median is that between the least and the largest measured time; the interval of a ratio
-    follows from those of both medians.
+    The interval of a median spans the least and the largest measured time; the interval of a ratio follows
+    from the intervals of both medians.
     """
     times = {name: _measured(results, test, name) for name in test.labels}
     first = test.labels[0]

@@ -157,8 +157,8 @@ def similar(results: Results, test: Similar) -> Finding:
     """Whether all means differ by less than a margin or a factor: of runs, over episodes, or at a step.
 
     This is an equivalence test: the claim is reproduced if the simultaneous (Bonferroni) intervals of all
-    differences lie within the margin, or those of all ratios within the factor, and not reproduced if one
-    lies outside. The margin may be a share of the range of the means at another step or over other episodes,
+    differences lie within the margin, or of all ratios within the factor, and not reproduced if one lies
+    outside. The margin may be a share of the range of the means at another step or over other episodes,
     which is resampled with the means.
     """
     names, spread_at = test.names, test.spread_at

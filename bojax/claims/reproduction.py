@@ -139,7 +139,7 @@ def joined_reproduction(
     """Write pages on the newest results of each of some sweeps in several folders, and return their claims.
 
     The claims and tests are taken from this version, see `bojax.claims.collected`. Sweeps may have been made
-    by different commands, revisions, devices and versions: the page says which sweep by which.
+    by different commands, revisions, devices and versions: the page says which command made each sweep.
 
     Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,
     `counted_in`, have a sentence "Of N claims ..., N are reproduced, N are not, and N are inconclusive",

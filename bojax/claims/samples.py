@@ -65,7 +65,7 @@ class Measure:
         return self.place is None and results.runs[self.column].dtype == bool
 
     def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
-        """Its value in the runs of these indices; NaN if a run has none."""
+        """Its value in the runs of these indices; NaN where it is missing."""
         values = self._at(self.place, results, point, runs)
         return values if self.since is None else values - self._at(self.since, results, point, runs)
 
@@ -179,7 +179,7 @@ def by_episode(results: Results, point: Point, name: str, window: Window, runs: 
 
 
 def in_any(results: Results, point: Point, name: str, window: Window) -> NDArray[np.bool_]:
-    """Runs in which a column is true or not zero in some episode of a window.
+    """Whether a column is true or not zero in some episode of a window, for each run.
 
     A run that ended within the window counts if it had such an episode before.
     """

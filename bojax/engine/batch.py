@@ -273,7 +273,7 @@ class Programs:
         return self._run("summary", carry, lanes, self._shared)
 
     def snapshot(self, carry: Leaves, lanes: Lanes) -> dict[str, dict[str, Array]]:
-        """The snapshot of every lane; empty if the experiment has none or if no run is recorded."""
+        """The snapshot of every lane; empty without snapshots or recorded runs."""
         return self._run("snapshot", carry, lanes, self._shared) if "snapshot" in self._programs else {}
 
     def exported_state(self, carry: Leaves, lanes: Lanes) -> PyTree:
@@ -329,7 +329,7 @@ def obtain(
         saved.update(programs)
     else:
         with TRACING:
-            started()  # the time of waiting for the other groups is not that of this one
+            started()  # not before: time spent waiting for other groups is not compile time of this one
             start = time.perf_counter()
             programs, carry = trace()
             if key is not None:

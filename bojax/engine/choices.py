@@ -39,7 +39,7 @@ _COPIES = frozenset({"empty", "recorded", "select"})
 """Programs that only move numbers."""
 
 _IS_SAFE = re.compile(r"(?:[\w+=-][\w+=.-]*/)*[\w+=-][\w+=.-]*")
-"""Names of XLA's files, none of which leads out of its folder."""
+"""Relative paths of XLA's files that stay inside its folder."""
 
 
 @runtime_checkable
@@ -57,7 +57,8 @@ class Choices:
     """The choices for the programs of one plan, in a folder that all its processes share.
 
     Each program has a file there, written by the first process that compiles it: a hash of what XLA made of
-    the program, and the choices that were new to the folder. The choices of a program are those of all files.
+    the program, and the choices that were new to the folder. Programs are compiled with the choices of all
+    files.
 
     Args:
         folder: The folder, which is created with the first program.

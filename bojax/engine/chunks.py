@@ -1,4 +1,4 @@
-"""Chunks: the runs of a static group divided into queues, each of which one device works off."""
+"""Chunks: the runs of a static group divided into queues, each for one device."""
 
 import hashlib
 import json
@@ -34,7 +34,7 @@ bounds the time lost to them: about 0.2 ms each."""
 NARROWING, NARROWEST = 3, 32
 """Factor between two numbers of lanes of a queue, and the lower bound of these numbers.
 
-On an H200 an advance of EMU-Q has a fixed cost, equal to that of about 100 lanes, so that fewer than
+On an H200 an advance of EMU-Q has a fixed cost, as large as the cost of about 100 lanes, so that fewer than
 `NARROWEST` lanes save little. A smaller factor keeps more of the lanes busy, but each number of lanes is a
 program to compile.
 """
@@ -50,7 +50,7 @@ class Layout:
         queue: Maximum of runs in a chunk.
         widths: Numbers of lanes, in descending order. A chunk starts with the first.
         repack: Number of advances after which finished runs leave their lanes: runs of the queue take their
-            places, or, if there is none, the others move to the next smaller number of lanes. 0 for never.
+            places, or, once it is empty, the others move to the next smaller number of lanes. 0 for never.
     """
 
     queue: int

@@ -102,7 +102,7 @@ _started: Future[None] | None = None
 
 
 def start_early(device: Platform) -> None:
-    """Start JAX's backends in a thread: CUDA takes a second, in which other packages can be imported.
+    """Start JAX's backends in a thread: CUDA takes a second, enough to import other packages.
 
     At exit, the process waits for the thread: unloading CUDA while it starts would abort the process.
     """
@@ -261,7 +261,7 @@ class DeviceLock:
 
     @contextmanager
     def released(self) -> Iterator[None]:
-        """Context of the worker that holds it, in which another one may use the device."""
+        """Let another worker use the device meanwhile; called by the worker that holds it."""
         self.__exit__()
         try:
             yield
@@ -271,9 +271,9 @@ class DeviceLock:
 
 @contextmanager
 def on_cpu() -> Iterator[None]:
-    """Context in which JAX computes on the CPU, if it has started there.
+    """Let JAX compute on the CPU, if it has started there, while this context is open.
 
-    For many small operations one after the other, each of which a GPU would compile and be called for.
+    For many small operations one after the other: a GPU would compile and launch each of them.
     """
     device = _cpu()
     with nullcontext() if device is None else jax.default_device(device):

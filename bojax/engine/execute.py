@@ -41,7 +41,7 @@ def execute(
     After a requested stop, the chunks that run are paused at a checkpoint, and no further task is yielded.
 
     Args:
-        tasks: The groups with their chunks, in the order in which they are compiled and run.
+        tasks: The groups with their chunks, in the order of compiling and running them.
         workers: The device of each worker thread.
         progress: Where progress is reported.
         stop: Whether a stop is requested.
@@ -95,7 +95,7 @@ class _Executor:
             worker.start()
 
     def ended(self) -> Iterator[GroupTask]:
-        """The groups in the order in which they end. The calling thread shows the progress meanwhile."""
+        """Yield the groups as they end. The calling thread shows the progress meanwhile."""
         left, patience = self._num_tasks, PATIENCE
         while left:
             # Before the queue is read: a worker may report a group and end in between.

@@ -1,7 +1,7 @@
-"""A static group of learning runs whose environments step on the host, between compiled programs.
+"""A static group of learning runs whose environments are stepped in Python between jitted functions.
 
 Every episode resets its environment with a seed derived from the key of the run. No state of the environment
-is kept between episodes, so a checkpoint has the same content as that of a compiled group.
+is kept between episodes, so a checkpoint has the same content as for a compiled group.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ class PhasePrograms(NamedTuple):
     """The methods of a `Phase`, compiled for all lanes.
 
     The first three arguments of each are the lanes, the carry, and the number of the episode: 0 for training,
-    or that of a test, from 1.
+    from 1 for tests.
     """
 
     seed: Callable[..., Array]

@@ -15,7 +15,7 @@ from bojax.numerics.lanes import LANES
 from bojax.text import one_line
 
 ORDINARY = 100
-"""Product of the factors by which integers exceed their defaults, up to which memory is not checked.
+"""Memory is checked only if integers exceed their defaults by factors whose product is larger than this.
 
 With its defaults, the arrays of an experiment are far smaller than the memory. Tracing takes up to a second,
 and a sweep whose programs are saved would trace nothing else.
@@ -23,7 +23,7 @@ and a sweep whose programs are saved would trace nothing else.
 
 
 def check_memory(experiment: Experiment, config: Component, locate: Locate) -> None:
-    """Refuse an experiment of which one array of one run is larger than half the memory.
+    """Refuse an experiment if one array of one run is larger than half the memory.
 
     Args:
         experiment: The experiment.
@@ -61,7 +61,7 @@ def largest_array(experiment: Experiment) -> int:
 
 
 def _largest(program: ClosedJaxpr | Jaxpr) -> int:
-    """Size of the largest result of an operation, those of loops and branches included."""
+    """Size of the largest result of an operation, including the operations of loops and branches."""
     sizes = [0, *(getattr(constant, "nbytes", 0) for constant in getattr(program, "consts", ()))]
     program = getattr(program, "jaxpr", program)
     for operation in program.eqns:

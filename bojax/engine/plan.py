@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a sweep computes, and in which chunks.
+    """What a sweep computes, divided into chunks.
 
     Attributes:
         sweep: The sweep.
@@ -58,7 +58,7 @@ def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
 
     Args:
         sweep: The sweep.
-        devices: The devices of this process, of which the sweep uses those that are `suited`.
+        devices: The devices of this process; the sweep uses those that are `suited`.
 
     Raises:
         ConfigError: A point cannot be built or needs too much memory, or there are too many chunks.

@@ -102,7 +102,7 @@ _held: dict[tuple[str, Device], "Loaded"] | None = None
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Context in which programs stay in memory, for sweeps of one process over the same groups."""
+    """Keep programs in memory while this context is open, for sweeps of one process over the same groups."""
     global _held
     _held = {}
     try:
@@ -212,7 +212,7 @@ class Program:
         def call(*leaves):
             return self.function(*leaves)
 
-        call.__name__ = name  # by which `compiled` finds the entry in JAX's cache
+        call.__name__ = name  # `compiled` finds the entry in JAX's cache by this name
         sharding = SingleDeviceSharding(device)
         inputs = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding) for leaf in self.inputs]
         jitted = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding)
@@ -242,7 +242,7 @@ def save(key: str, names: Collection[str], num_carried: int) -> bool:
     folder = folder_of("programs")
     if folder is None or not _write(key, json.dumps([list(names), num_carried]).encode()):
         return False
-    with contextlib.suppress(OSError):  # another process may delete them, too
+    with contextlib.suppress(OSError):  # another process may be deleting them
         drop_unused(folder)
     return True
 
@@ -277,7 +277,7 @@ def save_program(key: str, name: str, program: Program) -> bool:
 
 
 def load_program(key: str | None, name: str) -> Program | None:
-    """The program of this name that is saved under the key of its group; None if there is none."""
+    """The program of this name that is saved under the key of its group; None if it is not saved."""
     content = None if key is None else _read(f"{key}-{name}")
     if content is None:
         return None
@@ -320,7 +320,7 @@ def _entries_of(name: str) -> list[Path]:
 
 
 def _hash_of(path: Path) -> bytes | None:
-    """The hash of a file; None if there is no such regular file."""
+    """The hash of a file; None if it is missing or not a regular file."""
     with contextlib.suppress(OSError):
         return hashlib.sha256(_content_of(path)).digest()
     return None
@@ -411,7 +411,7 @@ def drop_unused(folder: Path) -> None:
 
 
 def folder_of(what: str) -> Path | None:
-    """A folder of the cache, in that of JAX's; None if there is none on a local disk."""
+    """A folder of the cache, below JAX's; None if JAX's cache is off or not on a local disk."""
     folder = setting("jax_compilation_cache_dir")
     if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
         return None

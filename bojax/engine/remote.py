@@ -33,7 +33,7 @@ LATE_SECONDS = 60.0
 """Time after which a file of a worker is visible here: NFS keeps what it knows of a folder for so long."""
 
 SHARES_PER_WORKER = 4
-"""Maximum number of shares for each worker. At the end, a worker is without work for a share at most."""
+"""Maximum number of shares for each worker. At the end, a worker idles for one share at most."""
 
 
 def num_shares(workers: int, groups: int, chunks: int) -> int:
@@ -82,7 +82,7 @@ class Launcher(abc.ABC):
 
         Args:
             name: Names of the sweeps.
-            folders: Their folders, in which the launch has been written.
+            folders: Their folders, with the launch already written.
             groups: Number of static groups that have chunks left, of all sweeps.
             chunks: Number of chunks that are left; an upper bound as long as no worker has planned a sweep.
 
@@ -174,7 +174,7 @@ def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:
 
 
 def _described(content: dict[str, Any]) -> dict[str, Any]:
-    """The values that a sweep shares with its plan, in which workers have resolved the settings of points."""
+    """The values that a sweep shares with its plan, without settings of points, which workers resolve."""
     kept = {name: content[name] for name in ("runs", "seed", "record", "config")}
     points = [{**point, "config": None} for point in content["points"]]
     return {**kept, "points": points}
@@ -224,7 +224,7 @@ def _plan(remote: _Remote, command: Sequence[str]) -> None:
         return
     plan = plan_made_elsewhere(remote.target.sweep, content, folder.device())
     run = SweepRun(plan, remote.target, command)
-    # Failures are told before they are tried again.
+    # Failed chunks are retried only after a merge without them, which sets this status and reports them.
     manifest = remote.target.path / MANIFEST
     run.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")
     remote.run = run

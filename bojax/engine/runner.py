@@ -120,7 +120,7 @@ class ChunkRunner:
                 saved = time.monotonic()
 
     def finish(self) -> None:
-        """Write what is left, and note that the chunk is done, if it is."""
+        """Write the remaining rows and mark the chunk as done; of a paused chunk, wait for its checkpoint."""
         if self._is_unfinished:
             self._sink.wait()
             return
@@ -301,7 +301,7 @@ class ChunkRunner:
             self._state.lanes[lane] = EMPTY
 
     def _write(self) -> None:
-        """Write the rows of a segment: those of the advances, and the summaries of finished runs."""
+        """Write the rows of a segment: the records of its advances, and the summaries of finished runs."""
         tables = self._experiment.tables
         rows: dict[str, list[Rows]] = {"runs": self._summaries}
         for lanes, recorded, records in self._rounds:

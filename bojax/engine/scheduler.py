@@ -22,7 +22,7 @@ class Scheduler:
     """The groups with chunks that are left.
 
     Args:
-        tasks: The groups, in the order in which they are compiled and run. They get their ranks.
+        tasks: The groups, in the order of compiling and running them. They get their ranks.
         devices: The devices.
         is_requested: Whether the compilation of programs was requested.
         is_ready: Whether programs, or an error in their place, are there.
@@ -52,7 +52,7 @@ class Scheduler:
 
     @property
     def running(self) -> list[GroupTask]:
-        """The groups of which chunks run."""
+        """The groups with running chunks."""
         return [task for task in self._tasks if task.running]
 
     def first(self, task: GroupTask) -> Device:
@@ -79,7 +79,7 @@ class Scheduler:
         return keys
 
     def ready(self, device: Device) -> list[GroupTask]:
-        """The groups of which a chunk can run on a device now."""
+        """The groups with a chunk that can run on a device now."""
         return [task for task in self._free(device) if self._is_ready(task.key(device))]
 
     def take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
@@ -139,7 +139,7 @@ class Scheduler:
         return dropped
 
     def _free(self, device: Device) -> list[GroupTask]:
-        """The groups of which a chunk may run on a device."""
+        """The groups with a chunk that may run on a device, once its programs are ready."""
         tasks = of_platform(self._tasks, device.platform)
         return [task for task in tasks if task.chunks and not (task.is_exclusive and task.running)]
 

@@ -19,7 +19,7 @@ _ends_process = [True]
 
 @contextlib.contextmanager
 def sparing_the_process() -> Iterator[None]:
-    """Context in which a second signal does not end the process: a notebook has more to lose than a sweep."""
+    """Keep a second signal from ending the process: a notebook has more to lose than a sweep."""
     _ends_process[0] = False
     try:
         yield

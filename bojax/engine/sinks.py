@@ -84,7 +84,7 @@ class FolderSink(Sink):
     @override
     def write_piece(self, tables: dict[str, pa.Table]) -> None:
         if self._commit is not None and self._commit.done():
-            self.wait()  # tells of a full disk before the next checkpoint
+            self.wait()  # raises the error of a failed commit (a full disk) before more rows are written
         self._files.write_piece(tables)
 
     @override

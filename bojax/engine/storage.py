@@ -26,7 +26,7 @@ from bojax.results.store import ResultsError, read_json, write_content, write_js
 from bojax.text import error_line
 
 COMPILED = "compiled-{}.json"
-"""Name of the file in which a process notes its seconds of compilation, by index of the group."""
+"""Name of the file that holds a process's seconds of compilation, by index of the group."""
 
 
 class Storage(abc.ABC):
@@ -40,7 +40,7 @@ class Storage(abc.ABC):
 
     @abc.abstractmethod
     def open(self, chunk: Chunk) -> Sink | None:
-        """Return where the rows of a chunk go; None if it is done, or has failed.
+        """Open a sink for the rows of a chunk; None if the chunk is done or has failed.
 
         Raises:
             ResultsError: A file of the chunk cannot be read or written.
@@ -51,7 +51,7 @@ class Storage(abc.ABC):
         return
 
     def abandon(self, chunk: Chunk) -> None:
-        """Note that a chunk cannot go on here, since its files cannot be written."""
+        """Note that this process gives up a chunk, after a requested stop or an error of its files."""
         return
 
     @abc.abstractmethod
@@ -97,7 +97,7 @@ class FolderStorage(Storage):
     Args:
         plan: The plan.
         folder: The folder.
-        launch: The launch in which this process owns the chunks.
+        launch: The launch that gave this process its chunks.
         attempts: The attempts at the chunks.
 
     Attributes:
@@ -139,7 +139,7 @@ class FolderStorage(Storage):
     def abandon(self, chunk: Chunk) -> None:
         files = self._open.pop(chunk, None)
         if files is not None:
-            with contextlib.suppress(ResultsError):  # without the note, it counts as lost
+            with contextlib.suppress(ResultsError):  # without this file, the attempt counts as lost
                 self._attempts.end(files, "paused", {})
 
     @override
@@ -164,10 +164,8 @@ class FolderStorage(Storage):
 
     @override
     def note_compiled(self, group: StaticGroup, seconds: float) -> None:
-        with (
-            self._lock,
-            contextlib.suppress(ResultsError),
-        ):  # the disk is full; whoever writes rows will say so
+        # On a full disk, the sink that writes rows reports the error; compile times are not worth a failure.
+        with self._lock, contextlib.suppress(ResultsError):
             self._compiled[group.index] += seconds
             path = self.folder.work / COMPILED.format(self._owner)
             write_json(path, dict(self._compiled), durably=False)
@@ -177,7 +175,7 @@ def compile_seconds(work: Path) -> dict[str, float]:
     """Seconds of compilation of all processes that have worked in a folder, by index of the group."""
     total: dict[str, float] = defaultdict(float)
     for path in work.glob(COMPILED.format("*")):
-        with contextlib.suppress(ResultsError, ValueError, TypeError, AttributeError):  # damaged
+        with contextlib.suppress(ResultsError, ValueError, TypeError, AttributeError):  # a damaged file
             for group, seconds in read_json(path).items():
                 total[group] += float(seconds)
     return total

@@ -1,4 +1,4 @@
-"""A sweep in its results folder while it runs: what is left, how it ends, and its manifest."""
+"""A sweep in its results folder while it runs: the chunks left, the merge at the end, and the manifest."""
 
 import shlex
 import sys
@@ -96,7 +96,7 @@ class SweepRun:
         self.write_manifest("running")
 
     def launch(self) -> FolderStorage:
-        """Begin a launch in which this process owns all chunks that are left."""
+        """Begin a launch that makes this process the owner of all chunks that are left."""
         left = [chunk.index for chunk in self.left]
         launch = self.folder.launch(plain(saved(self.plan.sweep)), left)
         return FolderStorage(self.plan, self.folder, launch, self.attempts)

@@ -27,7 +27,7 @@ class Request:
     """A sweep to run.
 
     Attributes:
-        sweep: The sweep, in which parts given by import path have been resolved.
+        sweep: The sweep, with resolved import paths.
         out: The results folder; `results/<name>/<timestamp>` if None.
     """
 
@@ -113,7 +113,7 @@ def plan_unfinished(
 
 
 def _devices_of(target: Target, devices: Sequence[Device]) -> Sequence[Device]:
-    """The devices to plan a sweep for: those of the platform that it began on, if there are any."""
+    """The devices to plan a sweep for: if possible, of the platform that it began on."""
     if not target.is_resumed or not is_unfinished(target.path):
         return devices
     begun = RunFolder(target.path).plan()

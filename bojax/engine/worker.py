@@ -32,7 +32,7 @@ from bojax.text import error_line
 Item = TypeVar("Item")
 
 EXPECTED = (ConfigError, ResultsError, EngineError, ImportError)
-"""Errors that the user can act on, told in one line."""
+"""Errors that the user can act on, printed as one line."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
     Raises:
         ConfigError: The sweep cannot be built on this machine.
         EngineError: There is no such device.
-        ResultsError: No folder is that of a planned sweep, one belongs to another kind of device or other
+        ResultsError: No folder holds a planned sweep, or one belongs to another kind of device or to other
             versions, or cannot be written.
     """
     opened = [RunFolder(folder.absolute()) for folder in folders]

@@ -67,7 +67,7 @@ def common_budget(settings: Sequence[Sequence[Series]]) -> float:
 
 
 def held(table: Floats, ends: NDArray[np.integer], is_final: NDArray[np.bool_]) -> Floats:
-    """Values of a setting `[runs, n]` in which a final run keeps its value at its last column, `ends`.
+    """Fill the values of a setting `[runs, n]`: a final run keeps its value at its last column, `ends`.
 
     Other runs are NaN after their end. Nothing is kept beyond the budget of the setting: a mean over its
     final runs alone would be one over other runs than before.

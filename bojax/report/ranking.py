@@ -38,7 +38,7 @@ class Measure:
         return -1.0 if self.is_least else 1.0
 
     def values(self, results: Results, point: Point) -> Floats:
-        """Its value in each run of a point; NaN if a run has none, and no column of `ENDS` stands for it."""
+        """Its value in each run of a point; NaN if missing, except for times, which count as the longest run."""
         values, end = results.runs_of(point)[self.column].astype(np.float64), ENDS.get(self.column)
         return values if end is None else times_within(values, float(results.runs[end].max(initial=0)))
 
@@ -56,7 +56,7 @@ class Standing:
 
 
 def measure_of(results: Results, by: str | None = None) -> Measure:
-    """The measure by which points are ranked: a column, with a minus sign if less is better, as `-rmse`.
+    """The measure that ranks points: a column, with a minus sign if less is better, as `-rmse`.
 
     By default it is `report.rank_by`; without it `-steps_to_goal` if a learner reached a goal, and else
     `return`, or `last_return` of learners.

@@ -380,7 +380,7 @@ def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
 
 
 def distinct_names(points: Sequence[Point]) -> list[str]:
-    """Variants, told apart by the swept values that differ among points of the same variant.
+    """Variants, each with the swept values that differ among points of the same variant.
 
     They are texts that can be drawn, see `printed`, and all different.
     """

@@ -217,7 +217,7 @@ def mean_interval(values: Floats) -> Interval:
 def ratio_interval(numerator: Floats, denominator: Floats) -> Interval:
     """Ratio of the means of two columns of equal runs, `[n]` each, with its interval.
 
-    NaN if a mean, or that of any resample, is not positive, since the ratio is then meaningless.
+    NaN if a mean, or the mean of any resample, is not positive, since the ratio is then meaningless.
     """
     table = np.stack([numerator, denominator], axis=1)
     if table.size == 0 or not np.isfinite(table).all() or not (means := bootstrap_means(table)).min() > 0:

@@ -211,7 +211,7 @@ def mixed(ink: str, other: str, share: float) -> str:
 def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
     """Colour and line style of each point; the first variant of a label has the label's own colour.
 
-    Labels that share a colour, because there are more of them than colours, are told apart like variants.
+    Labels that share a colour, because there are more of them than colours, are distinguished like variants.
     """
     labels = [point.label for point in points]
     inks = [colour(label, labels) for label in labels]

@@ -17,7 +17,7 @@ FEW_POINTS = 12  # most points of a sweep that need no table of ranks
 MAX_RANKED = 500  # most points in the table of ranks
 
 BY_STEP = 6
-"""Step by which early success is counted unless `report.by_step` is given (thesis, p. 100)."""
+"""Last step that counts as early success, unless `report.by_step` is given (thesis, p. 100)."""
 
 LATENCY = "latency at batch 1"
 """Heading of the column of `speeds` that only results with a measured latency have."""
@@ -179,7 +179,7 @@ def count_nan_runs(results: Results, point: Point) -> int:
 def speeds(results: Results) -> Table | None:
     """One row per static group of the manifest; None where it has no timings.
 
-    The latency of a group is that of its points at batch 1. If it was not measured there is no such column.
+    The latency of a group is measured for its points at batch 1; otherwise the column is missing.
     """
     points, known = {point.index: point for point in results.points}, results.latency.seconds
     unit = ["steps (plans) per second", "search iterations per second"]

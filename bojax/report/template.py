@@ -19,7 +19,7 @@ def fill(template: str, /, **values: Any) -> str:
 
 
 def _minus(text: Any) -> str:
-    """A text in which a hyphen before a digit is a minus sign, as numbers are typeset."""
+    """Replace hyphens before digits by minus signs, as numbers are typeset."""
     return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", str(text))
 
 

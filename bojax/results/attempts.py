@@ -8,7 +8,7 @@ working folder are:
 - `<chunk>-<number>/`: the files of an attempt, made by `mkdir`, which succeeds for one process alone, also
   on NFS;
 - `<chunk>-<number>/attempt.json`: who began it, written once;
-- `<chunk>-<number>.done`, `.failed`, `.paused`: how it ended. An owner that was lost leaves none of these.
+- `<chunk>-<number>.done`, `.failed`, `.paused`: how it ended. An owner that was lost leaves no such file.
 """
 
 import contextlib
@@ -132,11 +132,8 @@ class AttemptRegistry:
         try:
             content = read_json(self.path(chunk, number) / _ATTEMPT)
             return pydantic.TypeAdapter(Attempt).validate_python(content)
-        except (
-            ResultsError,
-            pydantic.ValidationError,
-        ):  # its owner was lost at that moment, or it is damaged
-            return None
+        except (ResultsError, pydantic.ValidationError):
+            return None  # the owner was lost while it wrote the file, or the file is damaged
 
     def note(self, chunk: str, ending: Ending) -> dict[str, Any]:
         """What was noted at the newest ending of a kind; empty if it is damaged."""
@@ -151,7 +148,7 @@ class AttemptRegistry:
         return str(self.note(chunk, "failed").get("error", "for a reason that is damaged"))
 
     def committed(self, chunk: str) -> ChunkFolder | None:
-        """The files of a chunk: those of the newest complete attempt, or of the newest one with a commit.
+        """The files of a chunk: of the newest complete attempt, or else of the newest one with a commit.
 
         Raises:
             ResultsError: A committed file is missing or has changed.

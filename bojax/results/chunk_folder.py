@@ -106,7 +106,7 @@ class ChunkFolder:
         Args:
             path: The folder.
             results: The results folder, to which merging moves snapshots.
-            chunk: Name of the chunk; that of the folder by default.
+            chunk: Name of the chunk; by default, the name of the folder.
         """
         self.path = path
         self.state = ChunkState()
@@ -143,7 +143,7 @@ class ChunkFolder:
                     raise
 
     def inherit(self, other: "ChunkFolder") -> bool:
-        """Take over what another folder of this chunk has committed, which stays there too.
+        """Take over what another folder of this chunk has committed, which keeps its own files.
 
         Returns:
             Whether it was all there; another process may be writing to that folder.
@@ -238,7 +238,7 @@ class ChunkFolder:
         return path
 
     def pieces(self, name: str) -> Iterator[Path]:
-        """The committed files of a table, in the order in which they were written.
+        """The committed files of a table, in the order of writing.
 
         Raises:
             ResultsError: A file is missing or has changed.
@@ -318,13 +318,13 @@ class ChunkFolder:
                 path.unlink()
 
     def _make_folders(self, name: str) -> None:
-        """Make the folders of a file, except that of the chunk: a finished sweep must not get one again."""
+        """Make the folders of a file, except the chunk's own: a finished sweep must not get one again."""
         for folder in reversed(self._folders(name)):
             with explained(folder):
                 folder.mkdir(exist_ok=True)
 
     def _folders(self, name: str) -> list[Path]:
-        """The folders below that of the chunk in which a file lies."""
+        """The folders of a file, below the folder of the chunk."""
         return [self.path / folder for folder in Path(name).parents][:-1]
 
     def _refusal(self, path: Path, what: str) -> ResultsError:

@@ -40,7 +40,7 @@ class Launch:
 
     Attributes:
         identity: Identifies the launch: the start of the sweep, or one resumption.
-        folder: The working directory of the command, in which files and modules of the sweep are looked up.
+        folder: The working directory of the command, where files and modules of the sweep are looked up.
         sweep: The sweep as plain values.
         left: Indices of the chunks that are divided among the workers of the launch; None for all.
     """
@@ -107,7 +107,7 @@ class RunFolder:
             check_plan(self.path, old, plan)
 
     def plan(self) -> dict[str, Any] | None:
-        """The plan; None if nobody has made it yet.
+        """The plan; None if no process has written it yet.
 
         Raises:
             ResultsError: It is damaged.

@@ -58,7 +58,8 @@ class Status:
         running: The chunks that run.
         lost: The chunks whose owner is gone, or has written nothing for `SILENT_CHECKPOINTS`.
         failed: The reason of each failed chunk, by index.
-        seconds_left: Forecast of the time left with the present number of processes; None if unknown.
+        seconds_left: Seconds per run of the finished chunks times the runs left, divided by the number of
+            running chunks; None if unknown.
     """
 
     name: str
@@ -96,7 +97,7 @@ class Status:
 def status_of(folder: Path) -> Status:
     """The state of the unfinished sweep in a results folder.
 
-    Times are measured by the clock of the file system, not by that of this machine or of the process.
+    Times are measured by the clock of the file system, not of this machine or of the process.
 
     Raises:
         ResultsError: There is no unfinished sweep.
@@ -176,7 +177,7 @@ def _index(name: str) -> int:
 
 
 def _now(work: Path) -> float:
-    """The time by the clock of the file system, or else by that of this machine."""
+    """The time by the clock of the file system, or else of this machine."""
     try:
         with tempfile.NamedTemporaryFile(dir=work, prefix=".now-") as file:
             return os.fstat(file.fileno()).st_mtime

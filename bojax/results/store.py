@@ -130,7 +130,7 @@ def link(source: Path, target: Path) -> None:
 
 
 def fingerprint(path: Path) -> dict[str, Any] | None:
-    """Size and SHA-256 of a file; None if there is no such file.
+    """Size and SHA-256 of a file; None unless it is a regular file.
 
     Raises:
         ResultsError: The file cannot be read.
@@ -270,7 +270,7 @@ def array_file(point: int, run: int, name: str, when: str) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of a results folder, or a `ResultsError` if there is none."""
+    """The manifest of a results folder; raises a `ResultsError` if it is missing or damaged."""
     path = folder / MANIFEST
     if not os.path.isfile(path):
         raise ResultsError(f"{folder}: not a results folder (no {MANIFEST})")

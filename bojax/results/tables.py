@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 from bojax.results.schema import Column, Table
 
 SORT_KEYS = ("point", "run", "episode", "step")
-"""Columns by which merged tables are sorted, if present."""
+"""Sort keys of merged tables; a table is sorted by those that it has."""
 
 KEYS: Table = (
     Column("point", "int32", doc="index of the point of the sweep"),

@@ -466,7 +466,7 @@ class TestPage:
         ends = {("a", 0): 5, ("a", 1): 5, ("b", 0): 20, ("b", 1): 2}
         rows = [f"{label},{run},{x},1" for (label, run), end in ends.items() for x in range(1, end + 1)]
         (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
-        for at, rule in ((None, "the largest that all methods have"), (4, "that of --at")):
+        for at, rule in ((None, "the largest that all methods have"), (4, "the one of --at")):
             page = compare([], [tmp_path / "x.csv"], tmp_path / f"out-{at}", axis="step", at=at)
             text = page.read_text(encoding="utf-8")
             assert f"up to the budget. The budget is {rule}." in Page(text).text
@@ -543,7 +543,10 @@ class TestMistakes:
             ),
             (["car", "--metric", "retrun"], "car: unknown metric retrun; allowed: "),
             (["parking", "--metric=-rmse"], "parking: unknown metric rmse; allowed: "),
-            (["car", "--metric", "steps", "--csv", "good.csv"], "good.csv: has curves, but steps has none"),
+            (
+                ["car", "--metric", "steps", "--csv", "good.csv"],
+                "good.csv: has curves, but steps has one value per run",
+            ),
             (["car", "--x", "time"], "--x: got time; allowed: episode, step (see: bojax compare --help)"),
             (["parking", "--x", "episode"], "--x: got episode; allowed of planning: step"),
             (["car", "--phase", "test"], "car: has no test episodes; allowed: --phase train"),

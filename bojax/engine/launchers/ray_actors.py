@@ -32,23 +32,23 @@ from bojax.text import error_line
 NAMESPACE = "bojax"
 
 REACH_SECONDS = 10.0
-"""Time in which a cluster answers."""
+"""Maximum time for a cluster to answer."""
 
 CONNECT_SECONDS = 40.0
-"""Time in which a cluster that answers lets this process in. A cluster that asks for a token takes 20 s to
-refuse it."""
+"""Maximum time for a cluster that answers to admit this process. A cluster that asks for a token takes 20 s
+to refuse it."""
 
 LOST_SECONDS = 30.0
-"""Time after which a cluster is given up that does not answer any more, or has no node for an actor."""
+"""Time after which a cluster that no longer answers, or has no node for an actor, is given up."""
 
 LOCAL = "local"
 """Ray's address for a cluster that it starts on this machine."""
 
 STOP_SECONDS = 600.0
-"""Time in which actors have to reach a checkpoint."""
+"""Maximum time for actors to reach a checkpoint."""
 
 HEAR_SECONDS = 5.0
-"""Time in which a living actor answers that it will stop."""
+"""Maximum time for a living actor to answer that it will stop."""
 
 
 class Ray(Launcher):

@@ -26,7 +26,7 @@ ASK_SECONDS = 15.0
 """Interval at which Slurm is asked whether an array has ended."""
 
 STOP_SECONDS = 60.0
-"""Time in which the tasks of a cancelled array have to reach a checkpoint."""
+"""Maximum time for the tasks of a cancelled array to reach a checkpoint."""
 
 
 JOB = "slurm-job.json"
@@ -46,8 +46,8 @@ case $code in
 esac
 exit "$code"
 """
-"""The end of the script. Slurm starts a task again whose node was lost. A worker that died of a signal is
-started again once, with the same share."""
+"""The end of the script. Slurm requeues a task whose node is lost. A worker that dies of a signal is requeued
+with the same share, unless its task has been requeued before."""
 
 
 class Slurm(Launcher):
@@ -127,7 +127,7 @@ class Slurm(Launcher):
             time.sleep(1.0 if self._job else 0.0)
 
     def _cancel(self) -> None:
-        """Cancel what is left of the last array, also tasks that have not begun."""
+        """Cancel the tasks of the last array that run or have not begun."""
         if self.is_awaited and self._job:
             subprocess.run(["scancel", *self._job], capture_output=True, check=False)
 

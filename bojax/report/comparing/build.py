@@ -75,7 +75,7 @@ def compare(
         title=f"Comparison: {heading(measure.column)}{where}",
         summary=f"{counted(len(names), 'method')}{listed} of "
         f"{counted(len({each.source for each in methods}), 'source')}, {runs} each. The score of a run is "
-        f"the {_score(methods[0], measure)}{', of which less is better' if measure.is_least else ''}."
+        f"the {_score(methods[0], measure)}{'; less is better' if measure.is_least else ''}."
         f"{tables.rule(methods[0], measure)}{caution}{tables.compiled_apart(results)}",
         counts=[],
         sections=sections,
@@ -130,7 +130,7 @@ def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
     if by_step:
         style.plain_ticks(chart.axes[0].xaxis)
         chart.axes[0].set_xticks(chart.axes[0].get_xticks()[::2])
-        details.append("A value holds from the end of its episode to that of the next.")
+        details.append("A value holds from the end of its episode to the end of the next.")
     if not is_share and limit(chart.axes[0], panel, []):
         details.append("Extreme values lie beyond the axis.")
     if any(curve.x[-1] > task.methods[0].at for curve in curves):

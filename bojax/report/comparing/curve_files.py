@@ -40,7 +40,7 @@ class Rows:
 def read_curves(path: Path) -> list[Rows]:
     """Read a CSV file with the columns `label, run, x, value` and optionally `task`, in any order.
 
-    Rows may have any order. Labels keep that of their first rows.
+    Rows may have any order. Labels are listed in the order of their first rows.
 
     Raises:
         ResultsError: The file cannot be read, a column is missing or unknown, a cell is empty or no number,

@@ -161,7 +161,8 @@ def methods_of(results: Sequence[Results], files: Sequence[Path], measure: Measu
     for path in files:
         rows = read_curves(path)
         if found and results and not found[0].has_curve:
-            raise ResultsError(f"{path}: has curves, but {measure.column} has none; allowed: results folders")
+            what = f"has curves, but {measure.column} has one value per run"
+            raise ResultsError(f"{path}: {what}; allowed: results folders")
         for task in {each.task for each in rows}:
             if len(known) > 1 and not task:
                 raise ResultsError(f"{path}: no column task; allowed: a task among {', '.join(known)}")

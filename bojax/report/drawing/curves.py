@@ -33,7 +33,7 @@ class Curve:
 
     point: Point  # a point of the setting, which gives the curve its name and colour
     x: Floats  # `[n]` steps, episodes or swept numbers, in ascending order
-    values: Floats  # `[runs, n]` one value per run; NaN where a run has none
+    values: Floats  # `[runs, n]` one value per run; NaN where it is missing
 
     @classmethod
     def numbered(cls, point: Point, values: Floats, first: int) -> "Curve":
@@ -54,7 +54,7 @@ class Panel:
     quantity: str  # what the curves are, for captions: `mean return`
     curves: Sequence[Curve]  # one curve per setting
     is_share: bool = False  # whether values are 0 or 1: their mean is then a percentage
-    missing: str = ""  # sentence for the caption of a panel in which some runs lack values
+    missing: str = ""  # sentence for the caption of a panel where some runs lack values
 
     @cached_property
     def bands(self) -> list[Band]:

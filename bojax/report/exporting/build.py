@@ -113,7 +113,7 @@ def to_tensorboard(points: Sequence[ExportedPoint], out: Path) -> None:
                 writer.add_scalar(name, value)
             events = writer.file_writer
             assert events is not None
-            # `add_hparams` would open a second file, whose name may be that of the first.
+            # `add_hparams` would open a second file, which may have the name of the first.
             for summary in hparams(dict(point.settings), dict(point.finals)):
                 events.add_summary(summary)
 
@@ -141,7 +141,7 @@ def to_wandb(points: Sequence[ExportedPoint], out: Path) -> None:
         for point in points:
             run = wandb.init(
                 mode="offline",  # takes precedence over WANDB_MODE
-                id=secrets.token_hex(4),  # over WANDB_RUN_ID, which would be that of all points
+                id=secrets.token_hex(4),  # over WANDB_RUN_ID, the same for all points
                 dir=str(out),
                 project=file_name(point.sweep),
                 name=point.name,

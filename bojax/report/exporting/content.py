@@ -47,7 +47,7 @@ class ExportedPoint:
 
     @property
     def finals(self) -> dict[str, float]:
-        """Its scalars, with the prefix `final/` that tells them from curves."""
+        """Its scalars, with the prefix `final/` that distinguishes them from curves."""
         return {f"final/{name}": value for name, value in self.scalars.items()}
 
 

@@ -21,7 +21,7 @@ from bojax.report.text import heading, is_number, minus, number, printed
 RANK = 175
 
 COLOURS = "cividis"  # a colour map that is read equally with all kinds of colour vision
-MOST_NUMBERS = 60  # most cells of a map in which the number is written
+MOST_NUMBERS = 60  # most cells of a map whose numbers are written
 MOST_TICKS = 8  # most values that are written beside a panel
 
 BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
@@ -98,7 +98,7 @@ def best_means(
 
 
 def _keys(results: Results, points: Sequence[Point]) -> tuple[str, str]:
-    """The two swept numbers: those of `report.heat_map`, or the first two."""
+    """The two swept numbers: `report.heat_map`, or the first two."""
     numeric = [key for key in swept_keys(points) if all(map(is_number, swept_values(points, key)))]
     asked = results.report.heat_map or tuple(numeric[:2])
     unknown = [key for key in asked if key not in numeric]

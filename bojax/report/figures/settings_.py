@@ -88,7 +88,7 @@ def marginals(
 def curves_and_panels(points: Sequence[Point]) -> tuple[list[str], list[str]]:
     """Name of the curve of each point, and the keys of the panels.
 
-    Axes with names are told by the curves. If these are too many, the last such axes get panels instead.
+    Axes with names are distinguished by curves. If these are too many, the last such axes get panels.
     """
     swept = swept_keys(points)
     named = [
