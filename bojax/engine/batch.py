@@ -103,6 +103,7 @@ class Functions:
         self.advance = _in_lanes(_advance, group)
         self.summary = _in_lanes(_summary, group)
         self.snapshot = _in_lanes(_snapshot, group)
+        # Not compiled ahead: most sweeps save no learners.
         self.exported_state = jax.jit(_in_lanes(_exported_state, group))
 
 
@@ -156,7 +157,7 @@ class Programs:
         self._prepare(run)
         key = self.key_of(self._group, device, num_lanes, self._num_recorded, wider)
         if choices is not None:
-            choices.offer()
+            choices.offer()  # before XLA compiles and chooses for itself
         loaded, self.is_saved, self.compile_seconds = obtain(
             key, device, partial(self._trace, wider), started
         )
@@ -337,8 +338,6 @@ def obtain(
                 kept = {name: program_cache.load_program(key, name) for name in programs}
                 saved.update(name for name, program in kept.items() if program is not None)
                 programs = {name: kept[name] or each.export(device) for name, each in programs.items()}
-            traced = time.perf_counter() - start
-        start = time.perf_counter() - traced
     ready = {}
     for name, program in programs.items():
         ready[name], is_hit = program_cache.compiled(key, name, program, device)

@@ -108,7 +108,7 @@ class BackgroundCompiler:
 
     def close(self) -> None:
         """End the threads once they are idle."""
-        self._queue.put((1 << 30, next(self._order), None, None))
+        self._queue.put((1 << 30, next(self._order), None, None))  # sorted behind every request
 
     def _new(self, key: ProgramKey) -> Future[Programs] | None:
         """The place of programs; None if they were requested before."""

@@ -78,6 +78,7 @@ class _Executor:
         self.error: BaseException | None = None
         self._progress, self._num_tasks, self._is_closed = progress, len(tasks), False
         self._stop = lambda: self._is_closed or self.error is not None or stop()
+        # Reentrant: a thread that holds it calls the compiler, whose methods take it as well.
         self._changed = threading.Condition(threading.RLock())
         self._compiler = BackgroundCompiler(self._compile, self._changed, self._stop)
         self._scheduler = Scheduler(
@@ -109,7 +110,7 @@ class _Executor:
                 self._progress.tick()
                 if self._stop():
                     patience -= POLL_SECONDS
-                    if 0.0 >= patience > -POLL_SECONDS:
+                    if 0.0 >= patience > -POLL_SECONDS:  # true once, when the patience has just run out
                         running = ", ".join(task.name for task in self._scheduler.running)
                         self._progress.say(f"waiting for the end of an advance: {running}")
 
@@ -157,6 +158,7 @@ class _Executor:
     def _run_next(self, device: Device) -> bool:
         """Run a chunk on a device; False if none is ready."""
         with contextlib.ExitStack() as lock:
+            # Locked before a chunk is taken: a thread that waits for the device keeps no chunk from others.
             lock.enter_context(self._locks[device])
             if (taken := self._take(device)) is None:
                 return False
@@ -217,6 +219,7 @@ class _Executor:
             key = task.key(device, width)
             if self._compiler.is_ready(key):
                 return self._compiler.wait(key)
+            # Another chunk may use the device while this one waits for a program, or loads it.
             with self._locks[device].released():
                 if not self._compiler.is_requested(key):
                     with self._changed:
@@ -237,6 +240,7 @@ class _Executor:
     def _release(self, task: GroupTask) -> None:
         """Note that a chunk no longer runs; after the last one, report its group and free the programs."""
         with self._changed:
+            # A stop pauses chunks, so that a group without chunks left is not necessarily done.
             if self._scheduler.release(task) and not self._stop():
                 for key in self._scheduler.unneeded(task):
                     self._compiler.drop(key)

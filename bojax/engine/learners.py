@@ -102,7 +102,7 @@ def write_learners(folder: Path, content: Mapping[str, Any]) -> None:
     checkpoint.save(tree, content)()
     with explained(tree):
         sync(tree, *tree.rglob("*"))
-    write_checked_json(_checksums(tree), fingerprints(tree))
+    write_checked_json(_checksums(tree), fingerprints(tree))  # last: without it, a cut-off tree is refused
 
 
 def load_learner(folder: Path, run: int, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree:

@@ -104,7 +104,7 @@ class ChunkRunner:
             with contextlib.suppress(ResultsError):
                 self._sink.wait()  # nothing is written once the chunk is given back
             raise
-        self._carry = None
+        self._carry = None  # frees the device's memory before the last rows are written
 
     def _advance(self) -> None:
         self._start()
@@ -175,6 +175,7 @@ class ChunkRunner:
                 self._carry,
                 self._lanes,
                 recorded,
+                # Not beyond the next repacking: when it takes place depends on the number of advances alone.
                 most=min(most, repack - state.advances % repack) if repack else most,
                 most_bytes=MOST_RECORD_BYTES - num_bytes,
                 seconds=left,
@@ -187,7 +188,7 @@ class ChunkRunner:
             for status in made.statuses:
                 steps = np.where(lanes == EMPTY, 0, status.active_steps)
                 active_steps += int(steps.sum())
-                issued_steps += int(steps.max()) * len(lanes)
+                issued_steps += int(steps.max()) * len(lanes)  # every lane takes as long as the longest
             is_done = made.statuses[-1].is_done
             self._check_end(is_done)
             finished += self._repack(is_done)
@@ -222,6 +223,8 @@ class ChunkRunner:
             return len(done)
         if not self._may_repack:
             return 0
+        # Finished runs keep their lanes, where advances do not change them, until another run can take a lane
+        # or fewer lanes are enough: handing them in waits for the device.
         can_move = len(done) if num_waiting else self._fitting(len(live)) < len(lanes)
         if not can_move:
             return 0
@@ -272,7 +275,7 @@ class ChunkRunner:
         start = time.perf_counter()
         self._programs = self._programs_of(width)
         self._waited += time.perf_counter() - start
-        selected = np.resize(live, width)
+        selected = np.resize(live, width)  # repeats some runs in the lanes that have none
         self._carry = self._programs.select(self._carry, selected)
         state.started = [state.started[lane] for lane in selected.tolist()]
         state.lanes = [state.lanes[lane] for lane in live.tolist()] + [EMPTY] * (width - len(live))
@@ -281,6 +284,7 @@ class ChunkRunner:
         """Keep the summaries, snapshots and learners of finished runs, and empty their lanes."""
         queued = self._map[lanes]
         points, runs = self._chunk.points[queued], self._chunk.runs[queued]
+        # Of all lanes, since the compiled program has a fixed shape; those of unfinished runs are discarded.
         summary = jax.device_get(self._programs.summary(self._carry, self._lanes))
         columns = {name: values[lanes] for name, values in summary.items()}
         self._summaries.append({"point": points, "run": runs} | columns)

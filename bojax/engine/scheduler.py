@@ -43,6 +43,7 @@ class Scheduler:
         for platform in {device.platform for device in self._devices}:
             for rank, task in enumerate(of_platform(self._tasks, platform)):
                 task.rank = rank  # the groups of a CPU and of GPUs are compiled side by side
+        # Asked once: what this process compiles for one device, the others load when they need it.
         self._saved = {
             task
             for task in self._tasks
@@ -74,7 +75,7 @@ class Scheduler:
                 # A device that no chunk will run on would load them in vain.
                 most = max(1, len(task.chunks)) if task in self._saved else 1
                 found = [key for device in self._rotated(task)[:most] for key in task.keys(device)]
-                left[task.platform] -= len(found)
+                left[task.platform] -= len(found)  # requested ones included: they take memory until dropped
                 keys += found
         return keys
 
@@ -117,6 +118,7 @@ class Scheduler:
             for other in self._devices_of(task)
             if self._is_ready(task.key(other))
         ]
+        # As in `take`: a group that will not wait for the programs of its smaller numbers of lanes.
         return next((pair for pair in found if self._is_complete(pair[0].task)), found[0] if found else None)
 
     def source(self, key: ProgramKey) -> ProgramKey | None:
@@ -141,6 +143,7 @@ class Scheduler:
     def _free(self, device: Device) -> list[GroupTask]:
         """The groups with a chunk that may run on a device, once its programs are ready."""
         tasks = of_platform(self._tasks, device.platform)
+        # Programs of an exclusive group hold one vector of environments, which two chunks cannot both step.
         return [task for task in tasks if task.chunks and not (task.is_exclusive and task.running)]
 
     def _is_complete(self, task: GroupTask) -> bool:

@@ -55,7 +55,7 @@ def save(folder: Path, content: Mapping[str, Any]) -> Callable[[], None]:
         end = orbax.save_async(path, dict(content))
 
     def wait() -> None:
-        with _written(folder):
+        with _written(folder):  # without `_USING`: others may begin a save while this one ends
             end.result()
             unpin()  # not after an error, when a thread of Orbax may still write there
 
@@ -203,6 +203,7 @@ def _written(folder: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # TensorStore raises ValueError for errors of the file system
+        # Orbax writes to a folder of this name, which it renames at the end.
         for path in folder.parent.glob(f"{folder.name}.orbax-checkpoint-tmp*"):
             shutil.rmtree(path, ignore_errors=True)
         found = re.search(r"os_error_code='(\d+)'", str(error))

@@ -38,7 +38,7 @@ class Measure:
         return -1.0 if self.is_least else 1.0
 
     def values(self, results: Results, point: Point) -> Floats:
-        """Its value in each run of a point; NaN if missing, except for times, which count as the longest run."""
+        """Its value in each run of a point; NaN if missing, but a missing time counts as the longest run."""
         values, end = results.runs_of(point)[self.column].astype(np.float64), ENDS.get(self.column)
         return values if end is None else times_within(values, float(results.runs[end].max(initial=0)))
 

@@ -185,6 +185,7 @@ class AttemptRegistry:
             losses, is_paused = 0, self.paused.get(chunk) == before
             last = self.attempt(chunk, before)
             if last is not None and last.launch == launch and not is_paused:
+                # A chunk that makes progress does not kill its owners: after a commit, counting begins anew.
                 losses = last.losses + 1 if last.pieces == pieces else 1
             own = Attempt(launch, socket.gethostname(), process_identity(os.getpid()), pieces, losses)
             write_json(files.path / _ATTEMPT, asdict(own), durably=False)
@@ -193,6 +194,7 @@ class AttemptRegistry:
                     files, "failed", {"error": f"{losses} workers were lost in succession while they ran it"}
                 )
                 return None
+            # A process of an earlier launch may still run, commit, and delete the files that it replaces.
             while found is not None and not files.inherit(found):
                 found = self.committed(chunk)
             if found is not None and is_paused and found.path == self.path(chunk, before):
@@ -202,7 +204,7 @@ class AttemptRegistry:
                 return None
             return files
         except BaseException:
-            with contextlib.suppress(ResultsError):
+            with contextlib.suppress(ResultsError):  # paused, since it does not count as a lost owner
                 self.end(files, "paused", {})
             raise
 

@@ -95,6 +95,7 @@ def merge(
     done = [
         files[chunk.index] for chunk in chunks if chunk.index in files and files[chunk.index].state.is_done
     ]
+    # Lists, since every file is verified by this, before the first table is written.
     pieces = {name: [piece for each in done for piece in each.pieces(name)] for name in dict.fromkeys(names)}
     moves = [(each.committed(name), folder / name) for each in done for name in each.snapshots()]
     nans = _write_tables(folder, pieces, points, seed)
@@ -198,6 +199,7 @@ def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Ta
     for (_, index), bound in zip(order, bounds, strict=True):
         held.append(read_table(pieces[index]))
         count += held[-1].num_rows
+        # Rows that stayed incomplete do not count, or all of them would be looked at again for every piece.
         if bound is not None and count - kept <= most:
             continue
         rows = pa.concat_tables([schema.empty_table(), *held], promote_options="default")
@@ -217,7 +219,7 @@ def _keys(rows: pa.Table) -> np.ndarray:
 
 
 def _key(point, run):
-    return (point << 32) + run
+    return (point << 32) + run  # runs are int32: these numbers are in the order of results
 
 
 def _first_run(footer: pq.FileMetaData) -> int:
@@ -225,6 +227,7 @@ def _first_run(footer: pq.FileMetaData) -> int:
     groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
     of_point, of_run = ([group.column(column).statistics for group in groups] for column in (0, 1))
     first, last = min(each.min for each in of_point), max(each.max for each in of_point)
+    # Of several points, the least run may not be one of the first point: 0 is then the only safe bound.
     return _key(first, min(each.min for each in of_run) if first == last else 0)
 
 
