@@ -81,12 +81,12 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
     """A folder with the files that workers leave, of made-up rows."""
     import numpy as np
 
-    from bojax.results import parts, store
+    from bojax.results import chunk_folder, store
     from bojax.results.tables import KEYS, to_arrow
 
     run, seconds = _sweep_run(folder, chunks, is_resumed=False)
     run.open()
-    parts.sync = store.sync = lambda *paths: None  # a power failure loses nothing of value here
+    chunk_folder.sync = store.sync = lambda *paths: None  # a power failure loses nothing of value here
     storage = run.launch()
     tables = run.plan.modules[0].tables
     for chunk in run.plan.chunks:

@@ -209,13 +209,13 @@ def test_what_is_no_planned_sweep(tmp_path, planned, capsys):
 
 
 def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone, capsys, monkeypatch):
-    from bojax.results import parts
+    from bojax.results import chunk_folder
 
     def full(path, table):
-        raise parts.ResultsError(f"{path}: the disk is full", exit_code=1)
+        raise chunk_folder.ResultsError(f"{path}: the disk is full", exit_code=1)
 
     with monkeypatch.context() as patch:
-        patch.setattr(parts, "write_table", full)
+        patch.setattr(chunk_folder, "write_table", full)
         assert work_on(planned) == 1
     assert "the disk is full" in one_line(capsys)
     attempts = attempts_of(planned)
