@@ -27,15 +27,10 @@ _OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended.
+    """How a command ended."""
 
-    Attributes:
-        code: Exit code; negative for a signal that ended the process.
-        lines: What it printed.
-    """
-
-    code: int
-    lines: Sequence[str]
+    code: int  # exit code; negative for a signal that ended the process
+    lines: Sequence[str]  # what it printed
 
     @property
     def signal(self) -> signal.Signals | None:

@@ -43,15 +43,10 @@ _PACKAGES = (
 
 @dataclass(frozen=True)
 class Finding:
-    """A result of a check.
+    """A result of a check."""
 
-    Attributes:
-        state: "ok", "note" for a limitation, "FAILED" for an error.
-        text: Description, one line.
-    """
-
-    state: str
-    text: str
+    state: str  # "ok", "note" for a limitation, "FAILED" for an error
+    text: str  # description, one line
 
 
 class Failure(Exception):

@@ -18,17 +18,11 @@ Path = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Choice:
-    """One value on an axis.
+    """One value on an axis."""
 
-    Attributes:
-        axis: Dotted path of the axis.
-        name: Name of the value on an axis of named subtrees, otherwise None.
-        value: New value at the path; a named subtree is merged into the value of the base.
-    """
-
-    axis: Path
-    name: str | None
-    value: Any
+    axis: Path  # dotted path of the axis
+    name: str | None  # name of the value on an axis of named subtrees, otherwise None
+    value: Any  # new value at the path; a named subtree is merged into the value of the base
 
     def apply(self, experiment: Mapping[str, Any], source: str) -> dict[str, Any]:
         """The experiment with this choice applied; `source` is the file of the axis."""

@@ -59,16 +59,11 @@ class Schema(pydantic.BaseModel, frozen=True):
 
 
 class Registered(Schema, frozen=True):
-    """Settings with a `kind`. A final class pins `kind` as a `Literal` default, which registers the class.
+    """Settings with a `kind`. A final class pins `kind` as a `Literal` default, which registers the class."""
 
-    Attributes:
-        role: Role of the part: "problem", "planner", "motions", ...
-        kind: Identifier, unique within the role.
-    """
+    role: ClassVar[str] = ""  # role of the part: "problem", "planner", "motions", ...
 
-    role: ClassVar[str] = ""
-
-    kind: str
+    kind: str  # identifier, unique within the role
 
     @classmethod
     @override

@@ -14,19 +14,12 @@ from bojax.config.errors import shown
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting of a part.
+    """One setting of a part."""
 
-    Attributes:
-        name: Key of the setting.
-        type: Type and bounds.
-        default: Default in YAML notation; empty if the setting is required.
-        meaning: Meaning and unit.
-    """
-
-    name: str
-    type: str
-    default: str
-    meaning: str
+    name: str  # key of the setting
+    type: str  # type and bounds
+    default: str  # default in YAML notation; empty if the setting is required
+    meaning: str  # meaning and unit
 
 
 def settings_of(schema: type[pydantic.BaseModel]) -> list[Setting]:

@@ -14,17 +14,11 @@ from bojax.config.errors import ConfigError, Location
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit on a count: as many as fit into half the memory of the machine.
+    """A limit on a count: as many as fit into half the memory of the machine."""
 
-    Attributes:
-        name: Noun for messages.
-        bytes_each: Memory per item, in bytes.
-        at_least: Lower bound of the limit on any machine.
-    """
-
-    name: str
-    bytes_each: int
-    at_least: int
+    name: str  # noun for messages
+    bytes_each: int  # memory per item, in bytes
+    at_least: int  # lower bound of the limit on any machine
 
     @property
     def allowed(self) -> int:

@@ -13,20 +13,13 @@ class Origin:
     """The sources of a sweep's settings; the origin of a setting is the last source that sets it.
 
     The sources are, from first to last: the base, the sweep file, its axes, the command line.
-
-    Attributes:
-        base: Formats a location in the base as `FILE: dotted.path`.
-        file: Name of the sweep file.
-        own: Reserved keys that the sweep file sets.
-        overridden: Paths set on the command line.
-        combinations: The choices of each point.
     """
 
-    base: Callable[[Location], str]
-    file: str
-    own: tuple[str, ...]
-    overridden: tuple[tuple[str, ...], ...]
-    combinations: Sequence[Combination]
+    base: Callable[[Location], str]  # formats a location in the base as `FILE: dotted.path`
+    file: str  # name of the sweep file
+    own: tuple[str, ...]  # reserved keys that the sweep file sets
+    overridden: tuple[tuple[str, ...], ...]  # paths set on the command line
+    combinations: Sequence[Combination]  # the choices of each point
 
     def setting(self, location: Location) -> str:
         """The origin of a reserved key."""

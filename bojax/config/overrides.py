@@ -16,15 +16,10 @@ MAX_DEPTH = 50
 
 @dataclass(frozen=True)
 class Override:
-    """One setting from the command line.
+    """One setting from the command line."""
 
-    Attributes:
-        path: Path of the setting.
-        value: Value of the setting, typed by YAML.
-    """
-
-    path: tuple[str, ...]
-    value: Any
+    path: tuple[str, ...]  # path of the setting
+    value: Any  # value of the setting, typed by YAML
 
 
 def parse_overrides(texts: Iterable[str]) -> list[Override]:

@@ -9,15 +9,10 @@ from bojax.config.component import Component, registry, slot_of
 
 @dataclass(frozen=True)
 class Place:
-    """The setting at a path.
+    """The setting at a path."""
 
-    Attributes:
-        role: Role of the component at the path; None for a plain setting.
-        kind: Kind of the component, given or by default.
-    """
-
-    role: str | None = None
-    kind: str | None = None
+    role: str | None = None  # role of the component at the path; None for a plain setting
+    kind: str | None = None  # kind of the component, given or by default
 
 
 def look_up(experiment: Mapping[str, Any], path: Sequence[str]) -> Place | None:

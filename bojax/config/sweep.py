@@ -28,20 +28,12 @@ DEFAULT_RUNS = 200
 
 @dataclass(frozen=True)
 class Point:
-    """One point of a sweep: an experiment with a value of each swept key.
+    """One point of a sweep: an experiment with a value of each swept key."""
 
-    Attributes:
-        index: Number of the point, from 0.
-        label: Identifier of the point in results: the kind of its planner or learner.
-        variant: Name of the point in the sweep.
-        swept: Values of the swept keys, by dotted path; for a named subtree, the name.
-        config: The experiment.
-    """
-
-    index: int
-    label: str
-    variant: str
-    swept: dict[str, Any]
+    index: int  # number of the point, from 0
+    label: str  # identifier of the point in results: the kind of its planner or learner
+    variant: str  # name of the point in the sweep
+    swept: dict[str, Any]  # values of the swept keys, by dotted path; for a named subtree, the name
     config: Component
 
 
@@ -51,37 +43,21 @@ def _locate_point(index: int, location: Location) -> str:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep, validated except for the parts given by import path.
+    """A sweep, validated except for the parts given by import path."""
 
-    Attributes:
-        name: Name of the sweep and of its results folder.
-        title: Title in reports, one line.
-        points: The points.
-        runs: Number of runs of each point.
-        seed: Seed of all run keys.
-        record: Which runs are recorded.
-        engine: How runs are executed.
-        report: Content of the report.
-        claims: Claims of the thesis, with their tests.
-        base: The experiment before the axes are applied, as written and overridden.
-        source: The file.
-        published: File of the sweep of bojax with the same name, with which results are compared; None if
-            there is none.
-        locate: Formats the origin of a setting of a point as `FILE: dotted.path`, for messages.
-    """
-
-    name: str
-    title: str
+    name: str  # name of the sweep and of its results folder
+    title: str  # title in reports, one line
     points: tuple[Point, ...]
-    runs: int
-    seed: int
-    record: Record
-    engine: EngineConfig
-    report: dict[str, Any]
-    claims: tuple[Claim, ...]
-    base: dict[str, Any]
+    runs: int  # number of runs of each point
+    seed: int  # seed of all run keys
+    record: Record  # which runs are recorded
+    engine: EngineConfig  # how runs are executed
+    report: dict[str, Any]  # content of the report
+    claims: tuple[Claim, ...]  # claims of the thesis, with their tests
+    base: dict[str, Any]  # the experiment before the axes are applied, as written and overridden
     source: Path
-    published: Path | None = None
+    published: Path | None = None  # the shipped sweep of this name, with which results are compared
+    # Formats the origin of a setting of a point as `FILE: dotted.path`, for messages.
     locate: Callable[[int, Location], str] = field(default=_locate_point, repr=False, compare=False)
 
     @property

@@ -80,23 +80,14 @@ UNNAMED = Path("config.yaml")
 
 @dataclass(frozen=True)
 class Written:
-    """A file as it is written.
+    """A file as it is written."""
 
-    Attributes:
-        path: The file, at the end of a chain of aliases.
-        name: Name of the sweep or of the experiment.
-        base: The experiment file, with its reserved keys.
-        locate: Formats a location in the base as `FILE: dotted.path`.
-        own: Reserved keys that a sweep sets beside its base.
-        content: Keys that only sweeps have.
-    """
-
-    path: Path
-    name: str
-    base: Mapping[str, Any]
-    locate: Callable[[Location], str]
-    own: Mapping[str, Any]
-    content: SweepFile
+    path: Path  # the file, at the end of a chain of aliases
+    name: str  # name of the sweep or of the experiment
+    base: Mapping[str, Any]  # the experiment file, with its reserved keys
+    locate: Callable[[Location], str]  # formats a location in the base as `FILE: dotted.path`
+    own: Mapping[str, Any]  # reserved keys that a sweep sets beside its base
+    content: SweepFile  # keys that only sweeps have
 
     @property
     def file(self) -> str:

@@ -37,21 +37,13 @@ class Asked(NamedTuple):
 
 @dataclass(frozen=True)
 class Range:
-    """A number that a search varies.
+    """A number that a search varies."""
 
-    Attributes:
-        key: Dotted path of the setting.
-        low: Lower bound.
-        high: Upper bound.
-        is_log: Whether values are searched by their logarithm.
-        is_integer: Whether the setting is an integer; positions are then rounded.
-    """
-
-    key: str
+    key: str  # dotted path of the setting
     low: float
     high: float
-    is_log: bool
-    is_integer: bool
+    is_log: bool  # whether values are searched by their logarithm
+    is_integer: bool  # whether the setting is an integer; positions are then rounded
 
     @property
     def box(self) -> tuple[float, float]:

@@ -20,27 +20,16 @@ MOST_POINTS = 1000
 
 @dataclass(frozen=True)
 class Task:
-    """A search that was checked.
+    """A search that was checked."""
 
-    Attributes:
-        config: The experiment, a sweep of one point.
-        ranges: The tuned settings.
-        column: Column of `runs.parquet` whose mean is the score.
-        is_least: Whether less is better.
-        batch: Number of points of a round.
-        rounds: Maximum number of rounds.
-        confirm: Number of fresh runs of each of the best settings; 0 for none.
-        recompiled: Keys of the tuned settings that fix the shape of a program.
-    """
-
-    config: Sweep
-    ranges: tuple[Range, ...]
-    column: str
-    is_least: bool
-    batch: int
-    rounds: int
-    confirm: int
-    recompiled: tuple[str, ...]
+    config: Sweep  # the experiment, a sweep of one point
+    ranges: tuple[Range, ...]  # the tuned settings
+    column: str  # column of `runs.parquet` whose mean is the score
+    is_least: bool  # whether less is better
+    batch: int  # number of points of a round
+    rounds: int  # maximum number of rounds
+    confirm: int  # number of fresh runs of each of the best settings; 0 for none
+    recompiled: tuple[str, ...]  # keys of the tuned settings that fix the shape of a program
 
     @cached_property
     def content(self) -> dict[str, Any]:
