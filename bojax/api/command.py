@@ -11,13 +11,12 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stderr, suppress
 from dataclasses import dataclass
 from typing import Any, TextIO
 
 from rich.console import Console
-from typing_extensions import override
 
 from bojax.engine.bar import PROGRESS, Bar
 
@@ -48,14 +47,10 @@ class Ended:
 
 
 class Output:
-    """What a process prints: progress goes to a bar, messages are printed, errors are kept.
-
-    Attributes:
-        lines: All lines but those of progress.
-    """
+    """What a process prints: progress goes to a bar, messages are printed, errors are kept."""
 
     def __init__(self):
-        self.lines: list[str] = []
+        self.lines: list[str] = []  # all but those of progress
         self._console = Console(stderr=True, highlight=False)
         self._bar: Bar | None = None
         self._title = ""
@@ -63,7 +58,11 @@ class Output:
 
     def take(self, line: str) -> None:
         """Show a line."""
-        if (event := _event(line)) is not None:
+        event = None
+        if line.startswith('{"title": '):
+            with suppress(ValueError):
+                event = json.loads(line)
+        if event is not None:
             if self._bar is None or self._title != event["title"]:
                 self.close()
                 self._title = event["title"]
@@ -86,11 +85,8 @@ class Output:
 def run_here(words: Sequence[str], config: str | None) -> Ended:
     """Run `bojax WORDS` in this process; JAX's flags are restored afterwards.
 
-    A second Ctrl-C does not end the process, which is the caller's.
-
-    Args:
-        words: The words of the command line.
-        config: YAML that the command reads from standard input.
+    The command reads the YAML `config` from standard input. A second Ctrl-C does not end the process, which
+    is the caller's.
 
     Raises:
         ConfigError: A class does not accept its settings.
@@ -99,7 +95,8 @@ def run_here(words: Sequence[str], config: str | None) -> Ended:
     from bojax.engine.devices import restored
     from bojax.engine.signals import sparing_the_process
 
-    shown, stdin = _Shown(sys.stderr), sys.stdin
+    shown: Any = _Shown(sys.stderr)
+    stdin = sys.stdin
     sys.stdin = io.TextIOWrapper(io.BytesIO((config or "").encode()))
     try:
         with restored(), sparing_the_process(), redirect_stderr(shown):
@@ -108,38 +105,28 @@ def run_here(words: Sequence[str], config: str | None) -> Ended:
         code = 128 + signal.SIGINT
     finally:
         sys.stdin = stdin
-    return Ended(code, shown.getvalue().splitlines())
+    return Ended(code, shown.text.splitlines())
 
 
-class _Shown(io.StringIO):
-    """Text that is also written to a stream."""
+class _Shown:
+    """A stream that keeps what is written to it."""
 
     def __init__(self, stream: TextIO):
-        super().__init__()
-        self._stream = stream
+        self._stream, self.text = stream, ""
 
-    @override
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
     def write(self, text: str, /) -> int:
-        self._stream.write(text)
-        return super().write(text)
-
-    @override
-    def flush(self) -> None:
-        self._stream.flush()
-
-    @override
-    def isatty(self) -> bool:
-        return self._stream.isatty()
+        self.text += text
+        return self._stream.write(text)
 
 
 def run_in_child(words: Sequence[str], config: str | None) -> Ended:
     """Run `bojax WORDS` in a process of its own.
 
-    The first KeyboardInterrupt stops the sweep at a checkpoint, the second ends the process at once.
-
-    Args:
-        words: The words of the command line.
-        config: YAML that the process reads from standard input.
+    It reads the YAML `config` from standard input. The first KeyboardInterrupt stops the sweep at a
+    checkpoint, the second ends the process at once.
     """
     # The process writes to a pipe, even if a notebook sets variables that promise a terminal.
     inherited = {name: value for name, value in os.environ.items() if name not in _OF_TERMINALS}
@@ -154,10 +141,11 @@ def run_in_child(words: Sequence[str], config: str | None) -> Ended:
         start_new_session=True,  # a notebook and a terminal send SIGINT to all processes of a group
     ) as process:
         try:
-            _feed(process, config or "")
+            assert process.stdin is not None and process.stdout is not None
+            with suppress(BrokenPipeError), process.stdin:  # the process says why it has ended
+                process.stdin.write((config or "").encode())
             while True:
                 try:
-                    assert process.stdout is not None
                     for line in process.stdout:
                         output.take(line.decode(errors="backslashreplace").rstrip("\n"))
                     return Ended(process.wait(), output.lines)
@@ -167,19 +155,3 @@ def run_in_child(words: Sequence[str], config: str | None) -> Ended:
             output.close()
             if process.poll() is None:  # an error of the display
                 process.terminate()
-
-
-def _feed(process: subprocess.Popen[bytes], text: str) -> None:
-    assert process.stdin is not None
-    with suppress(BrokenPipeError), process.stdin:  # the process says why it has ended
-        process.stdin.write(text.encode())
-
-
-def _event(line: str) -> Mapping[str, Any] | None:
-    """The progress that a line tells; None for a message."""
-    if not line.startswith('{"title": '):
-        return None
-    try:
-        return json.loads(line)
-    except ValueError:
-        return None

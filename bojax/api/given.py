@@ -13,14 +13,10 @@ from bojax.config.yaml_file import mapping_of
 
 
 class Values:
-    """Plain values of what a caller gives.
-
-    Attributes:
-        has_classes: Whether a class was among the values.
-    """
+    """Plain values of what a caller gives."""
 
     def __init__(self):
-        self.has_classes = False
+        self.has_classes = False  # whether a class was among the values
 
     def mapping(self, value: Mapping[str, Any], name: str) -> dict[str, Any]:
         """A config as if read from a file: what a file cannot hold is refused under the same messages.
@@ -51,10 +47,9 @@ class Values:
         if isinstance(value, Component):
             return value.model_dump(mode="json")
         if isinstance(value, Mapping):
-            return {
-                self._key(key, path, name): self._plain(item, (*path, str(key)), name)
-                for key, item in value.items()
-            }
+            if others := [key for key in value if not isinstance(key, str)]:
+                raise ConfigError(f"{_where(path, name)}got the key {shown(others[0])}; allowed: text")
+            return {key: self._plain(item, (*path, key), name) for key, item in value.items()}
         if isinstance(value, list | tuple):
             return [self._plain(item, (*path, str(index)), name) for index, item in enumerate(value)]
         if hasattr(value, "tolist"):  # numbers and arrays of NumPy and JAX
@@ -63,11 +58,6 @@ class Values:
             f"{_where(path, name)}got {shown(value)}, of type {type(value).__name__}; allowed: numbers, "
             "text, Booleans, lists, mappings, None, settings and classes of parts"
         )
-
-    def _key(self, key: Any, path: tuple[str, ...], name: str) -> str:
-        if not isinstance(key, str):
-            raise ConfigError(f"{_where(path, name)}got the key {shown(key)}; allowed: text")
-        return key
 
     def _import_path(self, cls: type, path: tuple[str, ...], name: str) -> str:
         """The import path of a class, `module:Class`; classes of a notebook are those of `__main__`."""
@@ -83,13 +73,8 @@ class Values:
 def path_of(given: Any, what: str, allowed: str = "a path") -> str:
     """A name or a path as text.
 
-    Args:
-        given: What the caller gives.
-        what: What it is, for the message.
-        allowed: What is allowed, for the message.
-
     Raises:
-        ConfigError: It is neither, or it is empty.
+        ConfigError: It is neither, or it is empty; `what` and `allowed` are words of the message.
     """
     if isinstance(given, str | os.PathLike) and os.fspath(given):
         return os.fspath(given)

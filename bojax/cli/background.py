@@ -31,17 +31,13 @@ A wait without a timeout would not end on Ctrl-C if the kernel gives the signal 
 class Reports:
     """Writes reports. On leaving its `with` block, it waits for all and prints verdicts and paths.
 
-    Attributes:
-        exit_code: 1 if a report could not be written in the background, 130 after Ctrl-C, 0 otherwise.
-
-    Args:
-        in_background: Whether other processes write them, at once: drawing holds the interpreter, so that in
-            this process it would delay the devices. Otherwise this process writes them on leaving the block,
-            where a signal ends it: results are complete by then, and a report has no checkpoint to wait for.
+    In the background, other processes write them, at once: drawing holds the interpreter, so that in this
+    process it would delay the devices. Otherwise this process writes them on leaving the block, where a
+    signal ends it: results are complete by then, and a report has no checkpoint to wait for.
     """
 
     def __init__(self, *, in_background: bool):
-        self.exit_code = 0
+        self.exit_code = 0  # 1 if a report could not be written in the background, 130 after Ctrl-C
         self._pool: ProcessPoolExecutor | None = None
         self._folders: list[Path] = []
         self._pending: dict[Path, Future[Path]] = {}
@@ -73,7 +69,8 @@ class Reports:
         start = time.monotonic()
         try:
             for folder in list(self._folders) if error is None else ():
-                self._write_here(folder)
+                print(_report()(folder))
+                self._folders.remove(folder)
             for folder, pending in list(self._pending.items()):
                 self._show(folder, pending)
         except KeyboardInterrupt:
@@ -112,10 +109,6 @@ class Reports:
             advice = f"to try again: bojax report {folder}"
             print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
         del self._pending[folder]
-
-    def _write_here(self, folder: Path) -> None:
-        print(_report()(folder))
-        self._folders.remove(folder)
 
 
 def _report() -> Callable[[Path], Path]:

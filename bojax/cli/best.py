@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 
-from bojax.cli.parser import Parser, UsageError, column, integer, path
+from bojax.cli.parser import Parser, UsageError, at_least, column, path
 from bojax.cli.running import run
 from bojax.config.errors import dotted, printable
 from bojax.config.sweep import load_config
@@ -29,8 +29,6 @@ def main(name: str, words: Sequence[str]) -> int:
     args = _parser(name).read(words)
     if args.confirm is None and (args.out is not None or args.resume):
         raise UsageError(f"bojax {name}: --out and --resume: allowed only with --confirm")
-    if args.confirm is not None and args.confirm < 1:
-        raise UsageError(f"bojax {name}: --confirm: got {args.confirm}; allowed: >= 1")
 
     from bojax.report.ranking import best_of, config_of, measure_of, scored
     from bojax.report.source import load
@@ -70,7 +68,7 @@ def _parser(name: str) -> Parser:
     by = "column of runs.parquet, with a minus sign if less is better (default: report.rank_by; without it "
     by += "-steps_to_goal if a learner reached a goal, otherwise return)"
     parser.option("--by", "COLUMN", by, column)
-    parser.option("--confirm", "N", "run the best point with N fresh runs", integer)
+    parser.option("--confirm", "N", "run the best point with N fresh runs", at_least(1))
     parser.option("--out", "DIR", "folder of these runs (default: results/NAME-best/TIME)", path)
     parser.flag("--resume", "resume interrupted runs of --confirm")
     return parser

@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Sequence
 
-from bojax.cli.parser import Parser, UsageError, column, integer, one_of, path
+from bojax.cli.parser import Parser, UsageError, at_least, column, one_of, path
 
 _DESCRIPTION = """\
 Compare finished results on one page: curves with bands, final scores with intervals, probabilities of
@@ -30,9 +30,6 @@ def main(name: str, words: Sequence[str]) -> int:
         raise UsageError(
             f"bojax {name}: got none; allowed: results folders or --csv files (see: bojax {name} --help)"
         )
-    for option in ("last", "at"):
-        if (value := getattr(args, option)) is not None and value < 1:
-            raise UsageError(f"--{option}: got {value}; allowed: >= 1")
     sources = [*args.folders, *args.csv]
     if duplicates := [source for source in sources if sources.count(source) > 1]:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
@@ -75,9 +72,9 @@ def _parser(name: str) -> Parser:
     phase = "phase of the episodes whose curves are drawn: train or test (default: train)"
     parser.option("--phase", "PHASE", phase, one_of(("train", "test")), default="train")
     last = "number of the last values of a run whose mean is its score (default: a tenth; 1 in planning)"
-    parser.option("--last", "N", last, integer)
+    parser.option("--last", "N", last, at_least(1))
     at = "step, or episode where that is the axis, up to which values count (default: the largest that all "
-    parser.option("--at", "STEP", f"{at}methods have)", integer)
+    parser.option("--at", "STEP", f"{at}methods have)", at_least(1))
     parser.option("--reference", "NAME", "method that others are compared with (default: the first)")
     parser.option("--out", "DIR", "folder of the page, new or empty (default: results/compare/TIME)", path)
     return parser

@@ -20,25 +20,10 @@ _EXAMPLES = """\
   JAX_PLATFORMS=cpu bojax doctor    the same without the GPU
 """
 
-_PACKAGES = (
-    "jax",
-    "jaxlib",
-    "equinox",
-    "jaxtyping",
-    "optax",
-    "orbax-checkpoint",
-    "mujoco",
-    "mujoco-mjx",
-    "brax",
-    "numpy",
-    "scipy",
-    "pyarrow",
-    "pydantic",
-    "PyYAML",
-    "rich",
-    "matplotlib",
-    "jinja2",
-)
+_PACKAGES = """\
+jax jaxlib equinox jaxtyping optax orbax-checkpoint mujoco mujoco-mjx brax numpy scipy pyarrow pydantic PyYAML
+rich matplotlib jinja2
+"""
 
 
 @dataclass(frozen=True)
@@ -85,7 +70,7 @@ def _python() -> Iterator[Finding]:
 
 def _packages() -> Iterator[Finding]:
     found, missing = [], []
-    for package in _PACKAGES:
+    for package in _PACKAGES.split():
         try:
             found.append(f"{package} {importlib.metadata.version(package)}")
         except importlib.metadata.PackageNotFoundError:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 LAUNCHING_USAGE = "\n             [--launcher inline|ray|slurm] [--cluster FILE] [--devices I,J] [--dry-run]"
 
-LAUNCHERS = ("inline", "ray", "slurm")
-
 INLINE = Namespace(launcher="inline", cluster=None, devices=None, dry_run=False)
 """The options of a command without them: all chunks run in this process, on all devices."""
 
@@ -23,7 +21,7 @@ INLINE = Namespace(launcher="inline", cluster=None, devices=None, dry_run=False)
 def add_launching(parser: Parser) -> None:
     """Add the options."""
     launcher = "what runs the chunks: this process, Ray actors or a Slurm array (default: inline)"
-    parser.add_argument("--launcher", choices=LAUNCHERS, default="inline", help=launcher)
+    parser.add_argument("--launcher", choices=("inline", "ray", "slurm"), default="inline", help=launcher)
     parser.option("--cluster", "FILE", "YAML file with settings of --launcher ray or slurm", path)
     parser.option("--devices", "I,J", "indices of the GPUs to use (default: all)", device_indices)
     parser.flag("--dry-run", "with --launcher slurm: print the script, submit nothing")
@@ -59,9 +57,7 @@ def check_launching(args: Namespace) -> None:
 def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | None", list[int] | None]:
     """The launcher, None for this process, and the indices of the devices that this process uses.
 
-    Args:
-        args: The options.
-        waits: Whether the command needs the results, so that it waits for Slurm too.
+    A command that needs the results `waits` for Slurm, too.
     """
     if args.launcher == "slurm":
         from bojax.engine.launchers.slurm import Slurm
@@ -78,11 +74,6 @@ def dry_run(args: Namespace, names: Sequence[str], folders: Sequence[Path]) -> i
     """Print the script that would be submitted to Slurm, with a share for each task.
 
     The number of shares of a submission also depends on the groups of the sweeps, which are not built here.
-
-    Args:
-        args: The options.
-        names: Names of the sweeps.
-        folders: Their folders.
     """
     from bojax.engine.launchers.slurm import Slurm
 

@@ -63,18 +63,11 @@ _EXAMPLES = """\
 
 
 class Messages:
-    """An output stream whose errors are only noted: a log on a full disk must not stop a sweep.
-
-    Args:
-        stream: The stream.
-
-    Attributes:
-        error: The last error; None if there was none.
-    """
+    """An output stream whose errors are only noted: a log on a full disk must not stop a sweep."""
 
     def __init__(self, stream: TextIO):
         self._stream = stream
-        self.error: OSError | None = None
+        self.error: OSError | None = None  # the last one
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

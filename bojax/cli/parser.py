@@ -25,13 +25,9 @@ class UsageError(Exception):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises a `UsageError` instead of printing the usage and exiting.
+    """An argument parser of a command that raises a `UsageError` instead of printing the usage and exiting.
 
-    Args:
-        name: The command; empty for `bojax` itself.
-        usage: What follows the command.
-        description: What the command does.
-        examples: Calls with their meaning, a line each.
+    The name is empty for `bojax` itself; `usage` is what follows it.
     """
 
     def __init__(self, name: str, usage: str, description: str, examples: str):
@@ -104,6 +100,17 @@ def integer(text: str) -> int:
         hint = f" (write {value:.0f})" if isinstance(value, float) and value.is_integer() else ""
         raise argparse.ArgumentTypeError(f"got {text}; allowed: an integer{hint}")
     return value
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """A function that converts an argument to an integer that is not below a bound."""
+
+    def check(text: str) -> int:
+        if (number := integer(text)) < least:
+            raise argparse.ArgumentTypeError(f"got {number}; allowed: >= {least}")
+        return number
+
+    return check
 
 
 def path(text: str) -> Path:

@@ -35,19 +35,30 @@ Values are YAML. A new kind (planner=sbo) discards the settings of the old kind.
 Results are written to results/NAME/TIME, or to --out. Existing results are never overwritten.
 """
 
-_RUN = """\
+_RUN = (
+    "CONFIG",
+    "a file, or a name in configs/",
+    "Run one experiment.",
+    """\
   bojax run parking                                  configs/parking.yaml
   bojax run my.yaml planner=sbo planner.depth=2      a file, with two settings changed
   bojax run parking problem=mine:Field --runs 4      a custom problem, class Field of mine.py
   bojax run - --runs 4 < my.yaml                     a config from standard input
-"""
+""",
+)
 
-_SWEEP = """\
+_SWEEP = (
+    "SWEEP",
+    "files, or names in sweeps/",
+    "Run sweeps and write their reports.",
+    """\
   bojax sweep parking                                sweeps/parking.yaml
   bojax sweep fig-4.2 fig-4.6 --out results/paper    two sweeps, in results/paper/fig-4.2 and .../fig-4.6
   bojax sweep parking --runs 20 planner.iterations=50
   bojax sweep parking --resume                       resume the newest unfinished sweep
-"""
+""",
+)
+"""Metavar, source, summary and examples of the commands."""
 
 
 def main(name: str, words: Sequence[str]) -> int:
@@ -91,15 +102,10 @@ def _folders(out: Path, names: Sequence[str]) -> list[Path]:
 
 def _parser(name: str) -> Parser:
     is_run = name == "run"
-    source = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
-    metavar, about = (
-        ("CONFIG", "Run one experiment.") if is_run else ("SWEEP", "Run sweeps and write their reports.")
-    )
-    options = (
-        f"[key=value ...] [--runs N] [--seed S] [--out DIR] [--resume]{'' if is_run else LAUNCHING_USAGE}"
-    )
-    usage = f"{metavar}{'' if is_run else '...'} {options}"
-    parser = Parser(name, usage, f"{about}\n\n{_OVERRIDES}", _RUN if is_run else _SWEEP)
+    metavar, source, about, examples = _RUN if is_run else _SWEEP
+    usage = f"{metavar}{'' if is_run else '...'} [key=value ...] [--runs N] [--seed S] [--out DIR] [--resume]"
+    usage += "" if is_run else LAUNCHING_USAGE
+    parser = Parser(name, usage, f"{about}\n\n{_OVERRIDES}", examples)
     help = f"{source}; {STANDARD_INPUT} for standard input; with key=value settings"
     parser.option("words", metavar, help, nargs="*")
     out = "results folder, new or empty (default: results/NAME/TIME)"
@@ -135,17 +141,9 @@ def run(
     *,
     launching: Namespace = INLINE,
 ) -> int:
-    """Run resolved sweeps and write their reports.
+    """Run resolved sweeps, write their reports, and return the exit code of `bojax.engine.run.run_sweeps`.
 
-    Args:
-        sweeps: The sweeps.
-        folders: Results folder of each sweep; None for `results/NAME/TIME`.
-        resume: Whether to continue unfinished sweeps.
-        command: The command line, for the manifests and for the hint on how to resume.
-        launching: The options of `add_launching`.
-
-    Returns:
-        The exit code, as `bojax.engine.run.run_sweeps`.
+    A folder is None for `results/NAME/TIME`. `launching` has the options of `add_launching`.
     """
     from bojax.engine.signals import StopRequest, stop_with_parent
 

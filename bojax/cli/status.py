@@ -45,24 +45,20 @@ def describe(folder: Path) -> tuple[list[str], bool]:
         return [f"{folder}: {read_manifest(folder).get('status')}"], False
     status = status_of(folder)
 
-    def lines(kind: str, attempts: Sequence[OpenAttempt]) -> list[str]:
-        shown = [
-            f"{kind}: chunk {each.chunk} ({each.runs} runs), attempt {each.attempt}, {each.owner}, "
-            f"for {duration(each.age)}, "
-            + ("its process is gone" if each.is_gone else f"last wrote {duration(each.silence)} ago")
-            for each in attempts[:MOST_LINES]
-        ]
-        return shown + [f"{kind}: {len(attempts) - MOST_LINES} more"] * (len(attempts) > MOST_LINES)
+    def about(each: OpenAttempt) -> str:
+        silence = "its process is gone" if each.is_gone else f"last wrote {duration(each.silence)} ago"
+        runs = f"({each.runs} runs), attempt {each.attempt}, {each.owner}, for {duration(each.age)}"
+        return f"{each.chunk} {runs}, {silence}"
 
-    failed = [f"failed: chunk {chunk}: {reason}" for chunk, reason in status.failed.items()]
-    more = [f"failed: {len(failed) - MOST_LINES} more"] * (len(failed) > MOST_LINES)
-    found = [
-        f"{folder}: {status.summary}",
-        *lines("running", status.running),
-        *lines("lost", status.lost),
-        *failed[:MOST_LINES],
-        *more,
-    ]
+    kinds = {
+        "running": [about(each) for each in status.running],
+        "lost": [about(each) for each in status.lost],
+        "failed": [f"{chunk}: {reason}" for chunk, reason in status.failed.items()],
+    }
+    found = [f"{folder}: {status.summary}"]
+    for kind, chunks in kinds.items():
+        found += [f"{kind}: chunk {each}" for each in chunks[:MOST_LINES]]
+        found += [f"{kind}: {len(chunks) - MOST_LINES} more"] * (len(chunks) > MOST_LINES)
     if status.chunks and status.done == status.chunks:
         found.append("all chunks are done; the command that started the sweep merges them, with --resume")
     elif status.seconds_left is not None and status.running:
@@ -70,4 +66,4 @@ def describe(folder: Path) -> tuple[list[str], bool]:
     if status.done < max(1, status.chunks) and not status.running:
         outputs = sorted((folder / WORK).glob(OUTPUT.format("*")), key=os.path.getmtime)
         found += [f"output of the last task: {path}" for path in outputs[-1:]]
-    return found, bool(failed)
+    return found, bool(status.failed)

@@ -13,7 +13,7 @@ from bojax.cli.launching import (
     dry_run,
     launcher_of,
 )
-from bojax.cli.parser import Parser, UsageError, column, integer
+from bojax.cli.parser import Parser, UsageError, at_least, column, integer
 from bojax.cli.running import read_source, split_words
 from bojax.engine.signals import kept
 from bojax.results.folder import dated_folder
@@ -77,9 +77,9 @@ def _parser(name: str) -> Parser:
     parser.option("--metric", "COLUMN", metric, column)
     parser.flag("--minimise", "less is better")
     parser.option("--budget", "RUNS", "runs of the search in all (default: 10 rounds)", integer)
-    parser.option("--batch", "POINTS", "points of a round (default: 8)", integer, default=8)
+    parser.option("--batch", "POINTS", "points of a round (default: 8)", at_least(1), default=8)
     confirm = "fresh runs of each of the best 3 settings (default: 100; 0 for none)"
-    parser.option("--confirm", "N", confirm, integer, default=100)
+    parser.option("--confirm", "N", confirm, at_least(0), default=100)
     out = "folder of the search (default: results/NAME-tune/TIME)"
     add_running(parser, out, "resume an interrupted search, or extend one by a larger budget")
     add_launching(parser)
@@ -107,9 +107,6 @@ def checked(args: argparse.Namespace) -> Task:
                 allowed += "; compare several values by a sweep (axes: {KEY: [...]})"
                 break
         raise UsageError(f"bojax tune: got {got}; allowed: {allowed}")
-    for option, value, least in (("--batch", args.batch, 1), ("--confirm", args.confirm, 0)):
-        if value < least:
-            raise UsageError(f"bojax tune: {option}: got {value}; allowed: >= {least}")
     return make_task(
         read_source(sources[0]),
         asked,

@@ -6,7 +6,7 @@ from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from bojax.cli.parser import Parser, integer, path
+from bojax.cli.parser import Parser, at_least, path
 
 if TYPE_CHECKING:
     from bojax.engine.signals import StopRequest
@@ -61,13 +61,6 @@ def _share(text: str) -> tuple[int, int]:
     return int(number), int(count)
 
 
-def _cores(text: str) -> int:
-    number = integer(text)
-    if number < 1:
-        raise ArgumentTypeError(f"got {text}; allowed: >= 1")
-    return number
-
-
 def _parser(name: str) -> Parser:
     parser = Parser(
         name,
@@ -79,7 +72,7 @@ def _parser(name: str) -> Parser:
     )
     parser.option("folders", "DIR", "results folder of the sweep", path, nargs="+")
     parser.option("--devices", "I,J", "indices of the GPUs to use (default: all)", device_indices)
-    parser.option("--cores", "N", "number of CPU cores to use (default: all)", _cores)
+    parser.option("--cores", "N", "number of CPU cores to use (default: all)", at_least(1))
     share = "which share of the chunks to run, from 0: 1/4 is the second of four (default: all)"
     parser.option("--share", "NUMBER/COUNT", share, _share, default=(0, 1))
     return parser

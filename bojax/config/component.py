@@ -40,13 +40,8 @@ class Schema(pydantic.BaseModel, frozen=True):
             owners = [kind for kind, schema in registry.get(role, {}).items() if name in schema.model_fields]
             fields = cls.model_fields.items()
             mappings = [key for key, field in fields if role and get_origin(field.annotation) is dict]
-            context = {
-                "names": names,
-                "others": len(unknown) - 1,
-                "role": role,
-                "kinds": owners,
-                "open": mappings,
-            }
+            context = {"names": names, "role": role, "kinds": owners, "open": mappings}
+            context["others"] = len(unknown) - 1
             error = PydanticCustomError("unknown_key", "unknown key", context)
             details = InitErrorDetails(type=error, loc=(name,), input=data[name])
             raise pydantic.ValidationError.from_exception_data(cls.__name__, [details])
@@ -119,16 +114,10 @@ def import_target(target: str) -> type:
 
 
 class External(Component, frozen=True):
-    """A part given by import path, before its class has been imported.
+    """A part given by import path, `package.module:Class`, before its class has been imported."""
 
-    Attributes:
-        kind: `package.module:Class`.
-        slot: Role that the part must have.
-        params: Settings, not yet validated.
-    """
-
-    slot: str
-    params: dict[str, Any] = {}
+    slot: str  # role that the part must have
+    params: dict[str, Any] = {}  # settings, not yet validated
 
     @property
     @override
@@ -138,12 +127,7 @@ class External(Component, frozen=True):
 
 
 class Built(External, frozen=True):
-    """A part given as an object, which Python code has built.
-
-    Attributes:
-        kind: `package.module:Class` of the object.
-        value: The object.
-    """
+    """A part given as an object, which Python code has built; `kind` is the import path of its class."""
 
     value: Any
 
@@ -160,18 +144,12 @@ class Slot:
     The field accepts a component, an identifier (`parking` means `{kind: parking}`), an import path, or a
     mapping with `kind` and settings. Settings that the mapping omits are taken from the default of the field
     if its kind is the same, otherwise from the defaults of the kind. From Python, it also accepts an object
-    of the base class of the role.
-
-    Attributes:
-        role: Role of the component.
-        only: Settings class from which the allowed built-in kinds derive; None allows all kinds of the role.
-        optional: Whether null is allowed.
+    of the base class of the role. With `optional`, it accepts null.
     """
 
     def __init__(self, role: str, only: type[Registered] | None = None, *, optional: bool = False):
-        self.role = role
-        self.only = only
-        self.optional = optional
+        self.role, self.optional = role, optional
+        self.only = only  # settings class from which the allowed built-in kinds derive; None: all of the role
 
     def __get_pydantic_core_schema__(self, source: Any, handler: pydantic.GetCoreSchemaHandler) -> CoreSchema:
         """Validate by `kind` and serialise the whole component; called by pydantic."""
@@ -204,11 +182,7 @@ class Slot:
         is_external = isinstance(component, External)
         role = component.slot if is_external else component.role
         if role != self.role:
-            raise PydanticCustomError(
-                "wrong_role",
-                "allowed: a part of role {role}, not of role {got}",
-                {"role": self.role, "got": role},
-            )
+            raise ValueError(f"allowed: a part of role {self.role}, not of role {role}")
         if self.only and not is_external and component.kind not in self._allowed_kinds():
             raise self._unknown_kind(component.kind)
         return component
@@ -232,15 +206,8 @@ class Slot:
         return [kind for kind, schema in kinds.items() if self.only is None or issubclass(schema, self.only)]
 
     def _unknown_kind(self, kind: Any) -> PydanticCustomError:
-        is_known = isinstance(kind, str) and kind in registry.get(self.role, {})
         roles = [role for role, kinds in registry.items() if isinstance(kind, str) and kind in kinds]
-        context = {
-            "role": self.role,
-            "kind": kind,
-            "names": self._allowed_kinds(),
-            "is_known": is_known,
-            "roles": roles,
-        }
+        context = {"role": self.role, "kind": kind, "names": self._allowed_kinds(), "roles": roles}
         return PydanticCustomError("unknown_kind", "unknown kind", context)
 
 

@@ -119,10 +119,8 @@ def from_validation(
 ) -> ConfigError:
     """The first error of a pydantic validation, and the number of further errors, as one line.
 
-    Args:
-        error: The error raised by pydantic.
-        locate: Formats the location of a setting as `FILE: dotted.path`.
-        siblings: Names that are allowed at the top level in addition to the fields of the schema.
+    `locate` formats the location of a setting as `FILE: dotted.path`; `siblings` are names that are allowed
+    at the top level in addition to the fields of the schema.
     """
     lines = error.errors(include_url=False)
     first = lines[0]
@@ -176,8 +174,9 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
     got = f"got {shown(value)}; "
     if kind == "unknown_kind":
         got = f"got {shown(value.get('kind', value) if isinstance(value, dict) else value)}; "
-        what = "not allowed here" if context["is_known"] else "unknown " + context["role"]
-        if not context["is_known"] and context["roles"]:
+        is_known = context["role"] in context["roles"]
+        what = "not allowed here" if is_known else "unknown " + context["role"]
+        if not is_known and context["roles"]:
             what = f"this name has the role {' and '.join(context['roles'])}, not {context['role']}"
             if {context["role"], *context["roles"]} >= {"problem", "env"}:
                 what += "; planners need a problem, learners an env (experiment: learning)"
@@ -196,8 +195,7 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         if _EXPECTED[kind] == "an integer" and (whole := _whole(value)):
             return got + f"allowed: an integer (write {whole})"
         return got + f"allowed: {_EXPECTED[kind]}" + _several(value)
-    message = one_line(line["msg"].removeprefix("Value error, "))
-    return got + message
+    return got + one_line(line["msg"].removeprefix("Value error, "))
 
 
 def _whole(value: Any) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 import pydantic
 
 from bojax.config.catalog import roles
-from bojax.config.component import Component, External
+from bojax.config.component import Component, External, import_target
 from bojax.config.errors import ConfigError, Location, did_you_mean, from_validation, shown
 from bojax.config.files import WRITTEN
 from bojax.config.signature import fields_of
@@ -98,7 +98,7 @@ def _announce(module: str, place: str) -> None:
 def _validate(external: External, path: Location, locate: Locate) -> Component:
     where = (*path, "kind") if path else ()
     try:
-        schema = schema_of(external.slot, external.kind)
+        schema = _schema_of(external.slot, external.kind, _import(external.kind))
         return schema.model_validate({"kind": external.kind, **external.params})
     except _Refusal as error:
         raise ConfigError(f"{locate(where)}: {error}") from error.__cause__
@@ -115,14 +115,9 @@ class _Refusal(Exception):
     """The reason why a class cannot be used."""
 
 
-def schema_of(role: str, kind: str) -> type[Component]:
-    """The schema class of an imported class in a given role."""
-    return _schema_of(role, kind, _import(kind))
-
-
 @cache
 def _schema_of(role: str, kind: str, cls: type) -> type[Component]:
-    """The same for the class that the import path names now: a notebook may define it again."""
+    """The schema class of the class that the import path names now: a notebook may define it again."""
     _check_protocol(cls, role, kind)
     config = getattr(cls, "Config", None)
     if isinstance(config, type) and issubclass(config, pydantic.BaseModel):
@@ -146,15 +141,14 @@ def _import(kind: str) -> type:
     got = f"got {shown(kind)}; "
     try:
         module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
-            raise _Refusal(
-                f"{got}module {error.name} is neither in the working directory ({Path.cwd()}) nor installed"
-            ) from error
-        raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a script may call sys.exit
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing and f"{module_name}.".startswith(f"{missing}."):
+            raise _Refusal(
+                f"{got}module {missing} is neither in the working directory ({Path.cwd()}) nor installed"
+            ) from error
         raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
     if not hasattr(module, name):
         names = [key for key, value in vars(module).items() if isinstance(value, type)]
@@ -170,8 +164,7 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
     missing = set(getattr(cls, "__abstractmethods__", ()))
     base = roles()[role].protocol
     if base:
-        module, _, name = base.partition(":")
-        protocol = getattr(importlib.import_module(module), name)
+        protocol: Any = import_target(base)
         has = {name for parent in cls.__mro__ for name in vars(parent)}
         missing |= protocol.__abstractmethods__ - has
     if missing:

@@ -26,12 +26,9 @@ def shipped(folder: str) -> Path:
 
 
 def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
-    """The file of a given name or path.
+    """The file of a path, or of a name: `parking` stands for `FOLDER/parking.yaml`.
 
-    Args:
-        source: A path, or a name: `parking` stands for `FOLDER/parking.yaml`.
-        folder: "configs" or "sweeps".
-        beside: Folders to search before the usual ones.
+    The folders in `beside` are searched before the usual ones.
 
     Raises:
         ConfigError: There is no such file.

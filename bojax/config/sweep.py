@@ -109,10 +109,8 @@ def load_published(name: str) -> Sweep:
 def validate_experiment(settings: Any, *, is_recorded: bool = False) -> Component:
     """The experiment that a mapping of settings describes.
 
-    Args:
-        settings: The mapping.
-        is_recorded: Whether results record these settings, so that the files of data which they name, with
-            the hash of their content, are not read again.
+    If results record these settings, the files of data that they name, with the hash of their content, are
+    not read again.
 
     Raises:
         pydantic.ValidationError: A setting is wrong.
@@ -147,13 +145,8 @@ def _expanded(
             settings = apply(settings, change)
         else:
             experiment = apply(experiment, change)
-    origin = Origin(
-        base=written.locate,
-        file=written.file,
-        own=tuple(written.own),
-        overridden=tuple(change.path for change in changes),
-        combinations=combinations,
-    )
+    overridden = tuple(change.path for change in changes)
+    origin = Origin(written.locate, written.file, tuple(written.own), overridden, combinations)
     points = []
     experiments = expand(experiment, combinations, below_axes, written.file)
     for index, (raw, combination) in enumerate(zip(experiments, combinations, strict=True)):
@@ -172,12 +165,8 @@ def _expanded(
     kind = experiment.pop("kind")
     return Sweep(
         name=written.name,
-        title=values.title,
         points=tuple(points),
-        runs=values.runs,
-        seed=values.seed,
-        record=values.record,
-        engine=values.engine,
+        **dict(values),
         report=written.content.report.model_dump(mode="json", exclude_unset=True),
         claims=written.content.claims,
         base={"experiment": kind, **experiment},
@@ -195,9 +184,7 @@ def _published(written: Written) -> Path | None:
 
 def _point(index: int, config: Component, combination: Combination) -> Point:
     swept = {
-        dotted(choice.axis): _value_at(config, choice.axis, choice.value)
-        if choice.name is None
-        else choice.name
+        dotted(choice.axis): choice.name or _value_at(config, choice.axis, choice.value)
         for choice in combination
     }
     variant = "/".join(choice.name for choice in combination if choice.name is not None)

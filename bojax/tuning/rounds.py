@@ -45,15 +45,9 @@ def run_rounds(
     """Run or resume a search, write its report, and return the exit code.
 
     The state of the search follows from the seed and the tables of the finished rounds, so that a resumed
-    search makes the proposals that an undisturbed one would have made.
-
-    Args:
-        task: The search.
-        out: Its folder; None for `results/NAME-tune/TIME`.
-        resume: Whether to continue an unfinished search, or to extend the finished one in `out`.
-        command: The command line, for the manifests and for the hint on how to resume.
-        launcher: Starts workers that run the chunks of a round; None to run them in this process.
-        devices: Indices of the devices that this process uses; None for all.
+    search makes the proposals that an undisturbed one would have made. With `resume`, an unfinished search
+    goes on, and a finished one in `out` is extended. Without a launcher, the chunks of a round run in this
+    process.
 
     Raises:
         EngineError: The launcher is missing on this machine, or refuses its settings; nothing is written.
@@ -144,13 +138,8 @@ class _Rounds:
 
     def _run(self, sweep: Sweep, folder: Path) -> int:
         with contextlib.redirect_stdout(io.StringIO()):  # the paths of the rounds
-            return run_sweeps(
-                [Request(sweep, folder)],
-                folder.is_dir(),
-                self._command,
-                launcher=self._launcher,
-                indices=self._devices,
-            )
+            request, options = Request(sweep, folder), (folder.is_dir(), self._command)
+            return run_sweeps([request], *options, launcher=self._launcher, indices=self._devices)
 
     def _learn(self, number: int, folder: Path) -> None:
         """Tell the search the scores of a finished round, and print the best point so far."""

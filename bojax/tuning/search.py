@@ -56,14 +56,7 @@ class Search:
     """
 
     def __init__(self, ranges: Sequence[Range], seed: int, batch: int, capacity: int):
-        """Start a search.
-
-        Args:
-            ranges: The tuned settings.
-            seed: Seed of the search.
-            batch: Number of points that are proposed together.
-            capacity: Largest number of points that are told.
-        """
+        """Start a search that proposes `batch` points together, and learns at most `capacity` scores."""
         self._ranges = tuple(ranges)
         self._seen: set[Values] = set()
         with on_cpu():

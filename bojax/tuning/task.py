@@ -76,20 +76,9 @@ def make_task(
     confirm: int,
     builds_on_cpu: bool,
 ) -> Task:
-    """Check a search. The arguments are the options of `bojax tune`.
+    """Check a search. The arguments are the options of `bojax tune`, None for one that is not given.
 
-    Args:
-        source: The config.
-        asked: The ranges.
-        overrides: Settings that are not tuned, `key=value`.
-        runs: Number of runs of each point; None for that of the config.
-        seed: Seed of the search and of its runs; None for that of the config.
-        metric: Column of `runs.parquet`; None for the return.
-        is_least: Whether less is better.
-        budget: Number of runs in all; None for 10 rounds.
-        batch: Number of points of a round.
-        confirm: Number of fresh runs of each of the best settings.
-        builds_on_cpu: Whether this process leaves the accelerators to workers.
+    With `builds_on_cpu`, this process leaves the accelerators to workers.
 
     Raises:
         ConfigError: A setting, a range or an option is wrong.

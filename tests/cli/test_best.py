@@ -46,7 +46,7 @@ made-up --by retrun
 made-up --out x
 => bojax best: --out and --resume: allowed only with --confirm
 made-up --confirm 0
-=> bojax best: --confirm: got 0; allowed: >= 1
+=> --confirm: got 0; allowed: >= 1
 made-up --confirm 1 --out made-up
 => made-up: the folder is not empty
 """

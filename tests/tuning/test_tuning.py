@@ -296,9 +296,9 @@ chain learner.kappa=0:1 --budget 63
 chain learner.kappa=0:1 --budget 640000
 => bojax tune: --budget: got 640000, which is 80000
 chain learner.kappa=0:1 --batch 0
-=> bojax tune: --batch: got 0; allowed: >= 1
+=> --batch: got 0; allowed: >= 1
 chain learner.kappa=0:1 --confirm -1
-=> bojax tune: --confirm: got -1; allowed: >= 0
+=> --confirm: got -1; allowed: >= 0
 chain learner.kappa=0:1 --runs 0
 => command line: runs: got 0; allowed: >= 1
 chain learner.kappa=3
