@@ -63,9 +63,8 @@ def test_a_mapping_runs_in_a_process_of_its_own(caller, capfd):
     assert results.runs["run"].to_pylist() == [0, 1]
     assert results.episodes["episode"].to_pylist() == [1, 2, 3, 4] * 2
     assert results.episodes.schema.field("return").type == "double"
-    assert results.manifest["command"].startswith(
-        "bojax run - episodes=4 'dtype=\"float64\"' --runs 2 --seed 3"
-    )
+    command = "bojax run - episodes=4 'dtype=\"float64\"' --runs 2 --seed 3"
+    assert results.manifest["command"].startswith(command)
     assert results.settings["env"]["length"] == 4 and results.settings["episodes"] == 4
     assert results.report.is_file()
     shown = capfd.readouterr()
@@ -105,6 +104,7 @@ def test_a_search_returns_what_it_has_found(caller, capfd):
     assert "round 2 of 2" in capfd.readouterr().out
 
 
+DISCOUNT = "learner.discount"
 MISTAKES = [
     (lambda: bojax.run("mountain-cra"), 'mountain-cra: no such file.*did you mean "mountain-car"'),
     (lambda: bojax.sweep("fig-4.7"), "fig-4.7: no such file"),
@@ -123,16 +123,10 @@ MISTAKES = [
     (lambda: bojax.sweep(CONFIG), "config.yaml: base: missing"),
     (lambda: bojax.run(CONFIG, resume=True), "no unfinished sweep to resume"),
     (lambda: bojax.run({**CONFIG, "env": int}), 'got "builtins:int"; the class does not implement'),
-    (
-        lambda: bojax.tune(CONFIG, {"learner.discount": 1}),
-        "learner.discount: got 1; allowed: .low, high",
-    ),
-    (lambda: bojax.tune(CONFIG, {"learner.discount": (1, 0.5)}), "got 1:0.5; allowed: low:high with low"),
-    (
-        lambda: bojax.tune(CONFIG, {"learner.discount": (0.5, 1)}, budget=3),
-        "--budget: got 3; allowed: >=",
-    ),
-    (lambda: bojax.tune("chian", {"learner.discount": (0.5, 1)}), 'did you mean "chain"'),
+    (lambda: bojax.tune(CONFIG, {DISCOUNT: 1}), "learner.discount: got 1; allowed: .low, high"),
+    (lambda: bojax.tune(CONFIG, {DISCOUNT: (1, 0.5)}), "got 1:0.5; allowed: low:high with low"),
+    (lambda: bojax.tune(CONFIG, {DISCOUNT: (0.5, 1)}, budget=3), "--budget: got 3; allowed: >="),
+    (lambda: bojax.tune("chian", {DISCOUNT: (0.5, 1)}), 'did you mean "chain"'),
     (lambda: bojax.run(CONFIG, out=__file__), "is not a folder; allowed: a new or empty folder"),
 ]
 

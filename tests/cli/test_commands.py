@@ -8,7 +8,6 @@ import pytest
 from bojax.cli import doctor
 from bojax.cli.main import main
 from bojax.config.component import External
-from tests.tiers import by_tier
 
 FOLDER = Path("results/parking/20260101-000000")
 """The folder chosen by the engine."""
@@ -44,16 +43,7 @@ def test_a_sweep_runs_and_is_reported(calls, capsys):
     (_, sweep, out, resume, command), report = made
     assert (sweep.name, sweep.runs, sweep.seed) == ("parking", 5, 7)
     assert out is None and resume is False
-    assert command == [
-        "bojax",
-        "sweep",
-        "parking",
-        "problem.half_width=3",
-        "--runs",
-        "5",
-        "--seed",
-        "7",
-    ]
+    assert command == "bojax sweep parking problem.half_width=3 --runs 5 --seed 7".split()
     assert report == ("report", FOLDER)
     assert capsys.readouterr().out == f"{FOLDER}/report.html\n"
 
@@ -72,18 +62,11 @@ def test_several_sweeps_get_folders_of_their_own(calls):
     assert [call[2] for call in made if call[0] == "run"] == [Path("both/fig-4.2"), Path("both/fig-4.6")]
 
 
-@pytest.mark.parametrize("code", by_tier([1, 130, 143], normal=[143]))
-def test_the_exit_code_is_that_of_the_engine(calls, code):
+def test_the_exit_code_is_that_of_the_engine(calls):
     made, codes = calls
-    codes["fig-4.2"] = code
-    assert main(["sweep", "fig-4.2", "fig-4.6"]) == code
+    codes["fig-4.2"] = 143
+    assert main(["sweep", "fig-4.2", "fig-4.6"]) == 143
     assert [call[0] for call in made] == ["run", "run"]
-
-
-def test_resume_without_anything_to_resume(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["sweep", "parking", "--resume"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
 def test_an_existing_folder_is_not_touched(tmp_path, monkeypatch, capsys):
@@ -175,20 +158,14 @@ class TestDoctor:
         ]
 
     def test_it_says_what_a_missing_package_is_for(self, monkeypatch):
-        monkeypatch.setattr(
-            "importlib.util.find_spec", lambda name: None if name in ("ray", "wandb") else name
-        )
+        lacks = ("ray", "wandb")
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name in lacks else name)
         installed, *missing = doctor.examine(doctor.CHECKS["extras"])
         assert installed.state == "ok" and "gym (environments of Gymnasium)" in installed.text
+        advice = "is not installed; install it in a clone of bojax: pip install -e"
         assert [(finding.state, finding.text) for finding in missing] == [
-            (
-                "note",
-                f"{purpose}: {name} is not installed; install it in a clone of bojax: pip install -e {extra}",
-            )
-            for purpose, name, extra in (
-                ("--launcher ray", "ray", "'.[ray]'"),
-                ("bojax export --to wandb", "wandb", "'.[wandb]'"),
-            )
+            ("note", f"--launcher ray: ray {advice} '.[ray]'"),
+            ("note", f"bojax export --to wandb: wandb {advice} '.[wandb]'"),
         ]
 
     def test_a_folder_that_cannot_be_written(self, tmp_path, monkeypatch):

@@ -156,33 +156,22 @@ def test_nothing_heavy_is_imported_for_help_lists_and_mistakes(here):
     assert json.loads(result.stdout) == [[code for _, code in LIGHT], []]
 
 
-def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
+def failing(monkeypatch, raised: BaseException) -> None:
+    """Let `bojax list` raise an exception."""
+
     def fail(name, words):
-        raise RuntimeError("a bug")
-
-    monkeypatch.setattr("bojax.cli.listing.main", fail)
-    with pytest.raises(RuntimeError, match="a bug"):
-        main(["list"])
-
-
-@pytest.mark.parametrize(
-    ("raised", "code"),
-    [
-        (KeyboardInterrupt, 130),
-        (BrokenPipeError, 0),
-        (OSError(errno.ENOSPC, "No space left on device"), 1),
-    ],
-)
-def test_interrupts_and_output_that_cannot_be_written_end_without_a_traceback(
-    monkeypatch, capfd, raised, code
-):
-    def stop(name, words):
         raise raised
 
-    monkeypatch.setattr("bojax.cli.listing.main", stop)
+    monkeypatch.setattr("bojax.cli.listing.main", fail)
+
+
+def test_interrupts_and_output_that_cannot_be_written_end_without_a_traceback(monkeypatch, capfd):
     monkeypatch.setattr("os.dup2", lambda *_: None)
-    assert main(["list"]) == code
-    assert ("standard output cannot be written: No space" in capfd.readouterr().err) == (code == 1)
+    full = OSError(errno.ENOSPC, "No space left on device")
+    for raised, code in ((KeyboardInterrupt(), 130), (BrokenPipeError(), 0), (full, 1)):
+        failing(monkeypatch, raised)
+        assert main(["list"]) == code
+        assert ("standard output cannot be written: No space" in capfd.readouterr().err) == (code == 1)
 
 
 LATE = """
@@ -228,28 +217,18 @@ def test_no_file_takes_the_place_of_a_closed_stream(here):
     assert subprocess.run(command, check=False).returncode > 2
 
 
-def test_an_error_of_a_named_file_is_not_taken_for_one_of_the_output(monkeypatch):
-    def fail(name, words):
-        raise OSError(errno.ENOSPC, "No space left on device", "a file")
-
-    monkeypatch.setattr("bojax.cli.listing.main", fail)
-    with pytest.raises(OSError, match="a file"):
-        main(["list"])
+def test_an_unexpected_exception_and_an_error_of_a_named_file_keep_their_tracebacks(monkeypatch):
+    for error in (RuntimeError("a file"), OSError(errno.ENOSPC, "No space left on device", "a file")):
+        failing(monkeypatch, error)
+        with pytest.raises(type(error), match="a file"):
+            main(["list"])
 
 
 def test_messages_that_cannot_be_written_are_left_out():
     """As where standard error is a log on a full disk."""
-
-    class Full(io.StringIO):
-        def write(self, text):
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-        def flush(self):
-            self.write("")
-
-    messages = Messages(Full())
+    messages = Messages(FullDisk())
     print("a message", file=messages, flush=True)
-    assert not messages.isatty()
+    assert messages.error is not None and not messages.isatty()
     kept = io.StringIO()
     print("a message", file=Messages(kept), flush=True)
     assert kept.getvalue() == "a message\n"
@@ -286,13 +265,8 @@ def test_figures_do_not_depend_on_the_backend_and_the_settings_of_a_notebook(her
     """`!bojax ...` in Jupyter inherits a backend of the kernel, which the environment of bojax may lack."""
     (here / "settings").write_bytes(bytes(range(256)))
     given = {"MPLBACKEND": "module://of_the_kernel.backend_inline", "MATPLOTLIBRC": str(here / "settings")}
-    ended = subprocess.run(
-        [sys.executable, "-m", "bojax", "report", "nowhere"],
-        env={**os.environ, **given},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-m", "bojax", "report", "nowhere"]
+    ended = subprocess.run(command, env={**os.environ, **given}, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1), ended.stderr
     assert ended.stderr.startswith("error: nowhere: ")
 
@@ -313,24 +287,16 @@ def test_the_version(capsys):
     assert capsys.readouterr().out == f"bojax {__version__}\n"
 
 
-NAMES = "XLA_PYTHON_CLIENT_PREALLOCATE", "XLA_PYTHON_CLIENT_ALLOCATOR"
-
-
-@pytest.mark.parametrize(
-    ("given", "chosen"),
-    [
-        ({}, ("false", "cuda_async")),
-        ({"XLA_PYTHON_CLIENT_PREALLOCATE": "true"}, ("true", None)),
-        ({"XLA_PYTHON_CLIENT_ALLOCATOR": "platform"}, (None, "platform")),
-    ],
-)
-def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(given, chosen):
-    others = {name: value for name, value in os.environ.items() if name not in NAMES}
-    code = f"import os, bojax.cli.main as m; m.main(['--version']); print(*map(os.environ.get, {NAMES}))"
-    told = subprocess.run(
-        [sys.executable, "-c", code], env=others | given, capture_output=True, text=True, check=True
-    )
-    assert told.stdout.splitlines()[-1] == " ".join(map(str, chosen))
+def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(monkeypatch):
+    preallocate, allocator = "XLA_PYTHON_CLIENT_PREALLOCATE", "XLA_PYTHON_CLIENT_ALLOCATOR"
+    for given, chosen in (
+        ({}, {preallocate: "false", allocator: "cuda_async"}),
+        ({preallocate: "true"}, {preallocate: "true"}),
+        ({allocator: "platform"}, {allocator: "platform"}),
+    ):
+        monkeypatch.setattr("os.environ", environment := dict(given))
+        assert main(["--version"]) == 0
+        assert environment == {**chosen, "OPENBLAS_NUM_THREADS": "1"}
 
 
 class FullDisk(io.StringIO):
@@ -340,27 +306,24 @@ class FullDisk(io.StringIO):
         raise OSError(errno.ENOSPC, "No space left on device")
 
 
-@pytest.mark.parametrize(
-    ("others", "output", "expected"),
-    [
-        ([], sys.stdout, ["atexit", 3]),
-        ([threading.Thread(daemon=True)], sys.stdout, [3]),
-        ([threading.Thread(daemon=False)], sys.stdout, []),
-        ([], None, ["atexit", 3]),  # bojax ... >&-
-        ([], FullDisk(), ["atexit"]),
-    ],
-    ids=["alone", "compiling", "a thread of the user", "no output", "a full disk"],
-)
-def test_a_process_that_has_imported_jax_leaves_without_pythons_clean_up(
-    monkeypatch, others, output, expected
-):
+def test_a_process_that_has_imported_jax_leaves_without_pythons_clean_up(monkeypatch):
     """The functions of atexit are called unless XLA may still compile in a thread."""
     made: list[object] = []
-    monkeypatch.setattr("threading.enumerate", lambda: [threading.current_thread(), *others])
-    monkeypatch.setattr("sys.stdout", output)
     monkeypatch.setattr("atexit._run_exitfuncs", lambda: made.append("atexit"))
     monkeypatch.setattr("os._exit", made.append)
     monkeypatch.setitem(sys.modules, "jax", jax)
-    with pytest.raises(SystemExit):  # the process would have ended
-        leave(3)
-    assert made == expected
+    compiling, of_the_user = threading.Thread(daemon=True), threading.Thread(daemon=False)
+    for others, output, expected in (
+        ([], sys.stdout, ["atexit", 3]),
+        ([compiling], sys.stdout, [3]),
+        ([of_the_user], sys.stdout, []),
+        ([], None, ["atexit", 3]),  # bojax ... >&-
+        ([], FullDisk(), ["atexit"]),
+    ):
+        threads = [threading.current_thread(), *others]
+        monkeypatch.setattr("threading.enumerate", lambda threads=threads: threads)
+        monkeypatch.setattr("sys.stdout", output)
+        with pytest.raises(SystemExit):  # the process would have ended
+            leave(3)
+        assert made == expected
+        made.clear()

@@ -1,6 +1,6 @@
 """Descriptions of settings."""
 
-from bojax.config.describe import settings_of, summary_of
+from bojax.config.describe import settings_of
 from bojax.config.settings import EngineConfig
 from bojax.motions.settings import Splines
 from bojax.planning.settings import SBO
@@ -20,7 +20,3 @@ def test_parts_bounds_and_nulls():
     engine = {setting.name: (setting.type, setting.default) for setting in settings_of(EngineConfig)}
     assert engine["lanes_per_device"] == ("integer >= 1 | null", "null")
     assert engine["segment_seconds"] == ("number > 0", "2")
-
-
-def test_the_summary_is_the_first_line():
-    assert summary_of(Splines) == (Splines.__doc__ or "").splitlines()[0]

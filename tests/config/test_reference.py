@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from bojax.config.catalog import kinds, roles
 from bojax.config.reference import page
 
 PAGE = Path(__file__).parents[2] / "docs" / "settings.md"
@@ -10,8 +9,3 @@ PAGE = Path(__file__).parents[2] / "docs" / "settings.md"
 
 def test_the_page_is_up_to_date():
     assert PAGE.read_text() == page(), "run: python -m bojax.config.reference > docs/settings.md"
-
-
-def test_every_part_has_a_heading():
-    headings = [line for line in page().splitlines() if line.startswith("### `")]
-    assert {f"### `{kind}`" for role in roles() for kind in kinds(role)} <= set(headings)

@@ -117,17 +117,7 @@ def test_a_program_runs_in_a_process_of_its_own(folder):
 
 @pytest.mark.slow
 def test_curves_of_deep_rl_are_compared(folder):
-    command = [
-        sys.executable,
-        DEEP_RL,
-        "mountain-car",
-        "--runs",
-        "1",
-        "--steps",
-        "2048",
-        "--evaluations",
-        "2",
-    ]
+    command = [sys.executable, DEEP_RL, *"mountain-car --runs 1 --steps 2048 --evaluations 2".split()]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=900)
     assert ran.returncode == 0, ran.stderr
     assert len(re.findall("share of episodes with success", ran.stdout)) == 4
@@ -184,9 +174,8 @@ def _tiny(words: list[str]) -> tuple[str, ...]:
         return ("episodes=2", "env.max_steps=15", *TINY[2:])
     if any("problem.field=" in word for word in words):
         return ("planner=random", *TINY[1:-3], "record.runs=0", *TINY[-2:])
-    if words[2].endswith(".yaml") and any(
-        "=" in word for word in words[3:]
-    ):  # a film of this config is drawn without the overrides
+    if words[2].endswith(".yaml") and any("=" in word for word in words[3:]):
+        # A film of this config is drawn without the overrides.
         return (*TINY[:-3], "record.runs=0", *TINY[-2:])
     return TINY[1:] if any("my_planner" in word for word in words) else TINY
 
