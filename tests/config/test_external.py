@@ -121,28 +121,20 @@ def test_a_gymnasium_id_of_a_saved_learner_is_printed(resolved, write, capsys):
 
 
 def test_a_folder_whose_name_looks_like_a_setting_hides_no_module(resolved, write, capsys):
-    saved = write(
-        "mine: x/experiment.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Configured'}}"
-    )
+    config = "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Configured'}}"
+    saved = write("mine: x/experiment.yaml", config)
     resolve(load_config(str(saved)))
     assert capsys.readouterr().err.startswith("importing my_kernels (")
 
 
-@pytest.mark.parametrize("id", [":Mine-v0", ".my_envs:Mine-v0", "my_nothing:Mine-v0"])
-def test_an_id_without_a_module_that_exists_is_left_to_gymnasium(resolved, write, capsys, id):
-    write(SAVED, f"{{experiment: learning, env: {{kind: gymnasium, id: '{id}'}}, learner: emu-q}}")
-    resolve(load_config(SAVED))
-    assert capsys.readouterr().err == ""
-
-
-@pytest.mark.parametrize("overrides", [[], ["planner.kernel=my_kernels:Configured"]])
-def test_a_module_that_the_user_names_is_not_printed(resolved, write, capsys, overrides):
+def test_nothing_is_printed_without_a_module_or_for_one_that_the_user_names(resolved, write, capsys):
     """In a config of their own, or on the command line, even where it replaces that of a saved learner."""
-    if overrides:
-        write(SAVED, "planner: {kind: kcbts, kernel: {kind: 'my_other:Mine'}}")
-        resolve(load_config(SAVED, overrides))
-    else:
-        resolved()
+    for id in (":Mine-v0", ".my_envs:Mine-v0", "my_nothing:Mine-v0"):  # left to Gymnasium
+        write(SAVED, f"{{experiment: learning, env: {{kind: gymnasium, id: '{id}'}}, learner: emu-q}}")
+        resolve(load_config(SAVED))
+    resolved()
+    write(SAVED, "planner: {kind: kcbts, kernel: {kind: 'my_other:Mine'}}")
+    resolve(load_config(SAVED, ["planner.kernel=my_kernels:Configured"]))
     assert capsys.readouterr().err == ""
 
 

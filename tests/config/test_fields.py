@@ -48,24 +48,9 @@ NOT_TABLES = {
 }
 
 
-@pytest.mark.parametrize("table", NOT_TABLES.values(), ids=NOT_TABLES)
-def test_anything_but_a_table_of_finite_numbers_is_refused_in_one_line(table, tmp_path):
-    file = str(tmp_path / "table.npy")
-    np.save(file, table, allow_pickle=True)
-    with pytest.raises(ValueError) as raised:
-        read_array(file)
-    assert str(raised.value).startswith(file) and "\n" not in str(raised.value)
-
-
-def test_a_damaged_file_is_refused_in_one_line(tmp_path):
-    file = str(tmp_path / "table.npy")
-    np.save(file, TABLE)
-    whole = (tmp_path / "table.npy").read_bytes()
-    for damaged in (b"", whole[:20], whole[:-8], b"not a table"):
-        (tmp_path / "table.npy").write_bytes(damaged)
-        with pytest.raises(ValueError) as raised:
-            read_array(file)
-        assert str(raised.value).startswith(file) and "\n" not in str(raised.value)
+def saved(table: np.ndarray) -> bytes:
+    np.save(stream := io.BytesIO(), table, allow_pickle=True)
+    return stream.getvalue()
 
 
 def header(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
@@ -75,15 +60,14 @@ def header(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
     return stream.getvalue() + bytes(8)
 
 
-@pytest.mark.parametrize(
-    "content", [header((10**10, 10**10)), header((10**6, 10**6)), header((2, -1)), header((2, 2), "|O")]
-)
-def test_a_header_that_claims_more_than_the_file_holds(tmp_path, content):
-    path = tmp_path / "table.npy"
-    path.write_bytes(content)
-    with pytest.raises(ValueError) as raised:
-        read_array(str(path))
-    assert str(raised.value).startswith(str(path)) and "\n" not in str(raised.value)
+def test_anything_but_a_whole_table_of_finite_numbers_is_refused_in_one_line(tmp_path):
+    path, whole = tmp_path / "table.npy", saved(TABLE)
+    claims = [header((10**10, 10**10)), header((10**6, 10**6)), header((2, -1)), header((2, 2), "|O")]
+    for content in (*map(saved, NOT_TABLES.values()), b"", whole[:20], whole[:-8], b"not a table", *claims):
+        path.write_bytes(content)
+        with pytest.raises(ValueError) as raised:
+            read_array(str(path))
+        assert str(raised.value).startswith(str(path)) and "\n" not in str(raised.value)
 
 
 def test_an_archive_under_the_name_of_an_array(tmp_path):

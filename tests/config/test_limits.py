@@ -10,7 +10,7 @@ import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.launching import SlurmConfig, load_launching
-from bojax.config.limits import CHUNKS, POINTS, RUNS, Limit, counts_of
+from bojax.config.limits import Limit, counts_of
 from bojax.config.sweep import load_config, load_sweep
 from bojax.config.yaml_file import parse, read_mapping
 from bojax.fields.data import read_array
@@ -79,18 +79,11 @@ def test_a_table_with_more_numbers_than_fit(tmp_path, monkeypatch):
         read_array(str(tmp_path / "a.npy"))
 
 
-def test_the_size_accepted_on_any_machine():
-    assert RUNS.at_least >= 10**7 and POINTS.at_least >= 10**5 and CHUNKS.at_least >= 10**5
-
-
-@pytest.mark.parametrize("runs", [10**9, 10**12])
-def test_runs(runs):
-    message = refusal(load_config, "parking", runs=runs)
-    assert message.startswith(f"command line: runs: got {runs:,} runs in total, which take about ")
-    assert refusal(load_config, "parking", [f"runs={runs}"]) == message
-
-
-def test_runs_of_all_points(write):
+def test_runs(write):
+    for runs in (10**9, 10**12):
+        message = refusal(load_config, "parking", runs=runs)
+        assert message.startswith(f"command line: runs: got {runs:,} runs in total, which take about ")
+        assert refusal(load_config, "parking", [f"runs={runs}"]) == message
     write("s.yaml", "{base: {}, runs: 2000000000, axes: {planner.depth: [1, 2, 3]}}")
     assert refusal(load_sweep, "s.yaml").startswith("s.yaml: runs: got 6,000,000,000 runs in total")
 
@@ -99,23 +92,17 @@ def test_a_grid(write):
     values = list(range(1, 1001))
     axes = ", ".join(f"problem.{name}: {values}" for name in ("half_width", "max_steps", "success_reward"))
     write("s.yaml", f"{{base: {{}}, axes: {{{axes}}}}}")
-    assert refusal(load_sweep, "s.yaml").startswith(
-        "s.yaml: axes: got 1,000,000,000 points, which take about "
-    )
+    assert refusal(load_sweep, "s.yaml").startswith("s.yaml: axes: got 1,000,000,000 points, which take ")
 
 
-@pytest.mark.parametrize("combine", ["grid", "zip"])
-def test_an_axis(write, monkeypatch, combine):
+def test_an_axis(write, monkeypatch):
     monkeypatch.setattr("bojax.config.axes.POINTS", Limit("points", 2**60, at_least=20))
-    for length, is_allowed in ((20, True), (21, False)):
-        write(
-            "s.yaml",
-            f"{{base: {{}}, combine: {combine}, axes: {{problem.half_width: {[*range(1, length + 1)]}}}}}",
-        )
-        if is_allowed:
-            assert len(load_sweep("s.yaml").points) == length
-        else:
-            assert refusal(load_sweep, "s.yaml").startswith("s.yaml: axes.problem.half_width: got 21 points")
+    for combine in ("grid", "zip"):
+        sweep = f"{{base: {{}}, combine: {combine}, axes: {{problem.half_width: VALUES}}}}"
+        write("s.yaml", sweep.replace("VALUES", str([*range(1, 21)])))
+        assert len(load_sweep("s.yaml").points) == 20
+        write("s.yaml", sweep.replace("VALUES", str([*range(1, 22)])))
+        assert refusal(load_sweep, "s.yaml").startswith("s.yaml: axes.problem.half_width: got 21 points")
 
 
 def test_equal_values_of_any_type_are_found(write):

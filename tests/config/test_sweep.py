@@ -79,11 +79,7 @@ def test_an_option_and_an_override_of_one_setting_are_refused():
 
 OVERRIDDEN = [
     # Values are typed by YAML.
-    (
-        "planner: kcbts",
-        "planner.iterations=10 planner.noise_variance=1e-3",
-        KCBTS(iterations=10, noise_variance=1e-3),
-    ),
+    ("planner: kcbts", "planner.noise_variance=1e-3", KCBTS(noise_variance=1e-3)),
     # A name replaces the part.
     ("planner: {kind: kcbts, iterations: 10}", "planner=sbo", SBO()),
     ("planner: {kind: kcbts, iterations: 10}", "planner=kcbts", KCBTS()),
@@ -117,12 +113,8 @@ class TestAxes:
     def test_a_grid_of_values(self, write):
         write("x.yaml", "{base: {}, axes: {planner.depth: [1, 2], problem.position_noise: [0, 0.1]}}")
         sweep = load_sweep("x.yaml")
-        assert [tuple(point.swept.values()) for point in sweep.points] == [
-            (1, 0.0),
-            (1, 0.1),
-            (2, 0.0),
-            (2, 0.1),
-        ]
+        expected = [(1, 0.0), (1, 0.1), (2, 0.0), (2, 0.1)]
+        assert [tuple(point.swept.values()) for point in sweep.points] == expected
         assert list(sweep.points[0].swept) == ["planner.depth", "problem.position_noise"]
         assert isinstance(sweep.points[0].swept["problem.position_noise"], float)
         assert planner(sweep, 2) == KCBTS(depth=2)
@@ -130,9 +122,8 @@ class TestAxes:
         assert sweep.runs == 200
 
     def test_a_zip_of_values(self, write):
-        write(
-            "x.yaml", "{base: {}, combine: zip, axes: {planner.depth: [1, 2], planner.iterations: [10, 20]}}"
-        )
+        axes = "{planner.depth: [1, 2], planner.iterations: [10, 20]}"
+        write("x.yaml", f"{{base: {{}}, combine: zip, axes: {axes}}}")
         assert [tuple(point.swept.values()) for point in load_sweep("x.yaml").points] == [(1, 10), (2, 20)]
 
     def test_no_axes_make_one_point(self, write):
@@ -176,17 +167,11 @@ class TestAxes:
         assert [planner(sweep, 0), planner(sweep, 1)] == [KCBTS(iterations=50), KCBTS(iterations=50, depth=4)]
 
     def test_two_named_axes(self, write):
-        write(
-            "x.yaml",
-            "{base: {}, axes: {planner: {kcbts: {}, sbo: {}}, problem: {calm: {half_width: 3}, usual: {}}}}",
-        )
+        axes = "{planner: {kcbts: {}, sbo: {}}, problem: {calm: {half_width: 3}, usual: {}}}"
+        write("x.yaml", f"{{base: {{}}, axes: {axes}}}")
         sweep = load_sweep("x.yaml")
-        assert [point.variant for point in sweep.points] == [
-            "kcbts/calm",
-            "kcbts/usual",
-            "sbo/calm",
-            "sbo/usual",
-        ]
+        variants = ["kcbts/calm", "kcbts/usual", "sbo/calm", "sbo/usual"]
+        assert [point.variant for point in sweep.points] == variants
         config = sweep.points[2].config
         assert config.problem == Parking(half_width=3.0)
 
@@ -214,9 +199,8 @@ class TestFiles:
     """Bases and aliases."""
 
     def test_a_base_by_name_and_by_path(self, write):
-        write(
-            "configs/mine.yaml", "{planner: sbo, runs: 3, seed: 4, engine: {device: cpu, segment_seconds: 3}}"
-        )
+        engine = "engine: {device: cpu, segment_seconds: 3}"
+        write("configs/mine.yaml", f"{{planner: sbo, runs: 3, seed: 4, {engine}}}")
         write("sweeps/a.yaml", "{base: mine}")
         write("sweeps/b.yaml", "{base: ../configs/mine.yaml, runs: 5, engine: {device: auto}}")
         first, second = load_sweep("a"), load_sweep("b")
@@ -252,17 +236,9 @@ class TestFiles:
         sweep = load_sweep("x.yaml")
         assert sweep.report == {"figures": ["returns"]}
         assert [claim.thesis for claim in sweep.claims] == [3, None]
+        test = {"kind": "trend", "by": "label", "label": "sbo", "column": "reward", "ended": "kept"}
         dumped = sweep.claims[1].model_dump(mode="json")
-        assert dumped["test"] == {
-            "kind": "trend",
-            "by": "label",
-            "label": "sbo",
-            "column": "reward",
-            "from": 1,
-            "to": 5,
-            "direction": "falls",
-            "ended": "kept",
-        }
+        assert dumped["test"] == test | {"from": 1, "to": 5, "direction": "falls"}
 
     def test_the_return_of_a_learning_run_is_named_by_its_last_episode(self, write):
         """One return of many is not the return; a window of episodes, and planning, have it."""
