@@ -84,9 +84,18 @@ def knows_toys(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("bojax.config.saved_sweep.validate_experiment", lambda config: ToyConfig(**config))
 
 
+SLOWLY = """
+import time
+from bojax.engine.sinks import FolderSink
+write = FolderSink.write_piece
+FolderSink.write_piece = lambda *arguments: (time.sleep(0.02), write(*arguments))
+"""
+"""Statements after which a chunk of toys lasts long enough to be disturbed, also on a busy machine."""
+
+
 def start_worker(out: Path, *words: str) -> subprocess.Popen:
-    """`bojax worker` for toys."""
-    return start_toy(out, words=words)
+    """`bojax worker` for toys, which takes its time."""
+    return start_toy(out, SLOWLY, words=words)
 
 
 def start_toy(

@@ -1,12 +1,12 @@
 """The content of the manifest."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
 import pytest
 
 from bojax.config.errors import ConfigError
+from bojax.config.sweep import load_sweep
 from bojax.engine.chunks import Layout, cut
 from bojax.engine.groups import static_groups
 from bojax.engine.manifest import describe_groups, describe_sweep, outline_of
@@ -16,10 +16,10 @@ from tests.toy import toy, toy_sweep
 
 
 def test_settings_changed_from_the_published_sweep_are_stated():
-    sweep = replace(toy_sweep(), changed={"problem.half_width": [4.0, 3.0]})
+    sweep = load_sweep("parking", ["planner.iterations=7"])
     plan = {"runs": 2, "seed": 0, "record": {}, "config": {}, "points": []}
-    manifest = describe_sweep(sweep, plan, [], "bojax sweep toy", "running")
-    assert manifest["changed"] == {"problem.half_width": [4.0, 3.0]}
+    manifest = describe_sweep(sweep, plan, [], "bojax sweep parking", "running")
+    assert [after for _, after in manifest["changed"].values()] == [7]
     assert describe_sweep(toy_sweep(), plan, [], "bojax sweep toy", "running")["changed"] == {}
 
 
