@@ -19,7 +19,6 @@ from bojax.results.store import (
     explained,
     fingerprint,
     link,
-    make_folder,
     read_checked_json,
     read_table,
     sync,
@@ -93,7 +92,8 @@ class ChunkFolder:
     Checkpoints, and the learners of each commit, are folders that Orbax writes.
 
     The state file is replaced atomically, after the files that it lists have been written. Other files are
-    ignored and deleted. A listed file is verified by its checksum before it is used.
+    ignored: the next attempt at the chunk inherits only listed files. A listed file is verified by its
+    checksum before it is used.
 
     Attributes:
         path: The folder.
@@ -101,7 +101,7 @@ class ChunkFolder:
     """
 
     def __init__(self, path: Path, results: Path, chunk: str | None = None):
-        """Create an object for a folder, which `open` creates or reads.
+        """Create an object for a folder that exists, without reading it.
 
         Args:
             path: The folder.
@@ -113,16 +113,6 @@ class ChunkFolder:
         self._chunk = chunk or path.name
         self._results = results
         self._new: list[str] = []
-
-    def open(self) -> None:
-        """Create the folder, or read the committed state and delete everything newer.
-
-        Raises:
-            ResultsError: A committed file is missing or has changed; in this case nothing is deleted.
-        """
-        make_folder(self.path)
-        self.read()
-        self._drop_uncommitted()
 
     def read(self) -> bool:
         """Read the committed state and verify its files, changing nothing; False if there is no state.
@@ -296,15 +286,6 @@ class ChunkFolder:
         if chunk != self._chunk:
             raise self._refusal(self._state_file, "copied from another chunk")
         return state
-
-    def _drop_uncommitted(self) -> None:
-        with explained(self.path, "deleted"):
-            for path in self.path.rglob("*"):
-                name = path.relative_to(self.path).as_posix()
-                is_ours = _PIECE.fullmatch(name) or name.startswith(f"{ARRAYS}/")
-                if is_ours and name not in self.state.files and not path.is_dir():
-                    path.unlink()
-            self._drop_trees()
 
     def _drop_trees(self) -> None:
         """Delete the folders of Orbax that are not committed, also those that it has not completed."""

@@ -180,6 +180,14 @@ def test_the_clock_changes_no_bit(name):
         assert again[table].equals(expected)
 
 
+def reopened(path) -> ChunkFolder:
+    """The files of a chunk as the process before has left them."""
+    files = ChunkFolder(path, path.parent)
+    path.mkdir(exist_ok=True)
+    files.read()
+    return files
+
+
 def run_for_a_segment(chunk, layout: Layout, sink: Sink, count: int = 1) -> int:
     """Run a chunk for a segment, or for some; the number of steps that all its lanes could have made."""
     seen = []
@@ -216,8 +224,7 @@ def test_stopped_and_resumed_from_a_folder(name, tmp_path):
     expected, _ = run_in_memory(layout)
     for chunk in chunks_of(layout):
         while True:
-            files = ChunkFolder(tmp_path / chunk.name, tmp_path)
-            files.open()
+            files = reopened(tmp_path / chunk.name)
             if files.state.is_done:
                 break
             run_for_a_segment(chunk, layout, FolderSink(files, Record(runs=1)), count=5)
@@ -241,26 +248,17 @@ def test_a_stop_during_the_wait_for_a_program_loses_nothing(tmp_path, missing):
             raise Stopped
         return programs_of(layout)(width)
 
-    def opened():
-        files = ChunkFolder(tmp_path / "chunk", tmp_path)
-        files.open()
-        return files
-
-    sink = FolderSink(opened(), Record(runs=0))
+    sink = FolderSink(reopened(tmp_path / "chunk"), Record(runs=0))
     limits = Limits(float("inf"), float("inf"), lambda: bool(stops))
     run(ChunkRunner(chunk, MODULES[0], without_one, sink, limits, begun.append))
-    files = opened()
+    files = reopened(tmp_path / "chunk")
     assert stops and files.state.advances > 0
     again = []
     sink = FolderSink(files, Record(runs=0))
     run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, again.append))
     expected, once = run_in_memory(layout)
     assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])
-    for count in (
-        "active_steps",
-        "finished",
-        "issued_steps",
-    ):  # none is repeated, or made in more lanes
+    for count in ("active_steps", "finished", "issued_steps"):  # none is repeated, or made in more lanes
         total = sum(getattr(segment, count) for segment in once)
         assert sum(getattr(segment, count) for segment in [*begun, *again]) == total
 

@@ -41,7 +41,8 @@ LEARNER = jax.eval_shape(lambda: learned(0))
 
 def opened(path: Path, name: str = "chunk-a") -> ChunkFolder:
     files = ChunkFolder(path / ".work" / name, path, "chunk")
-    files.open()
+    files.path.mkdir(parents=True, exist_ok=True)
+    files.read()
     return files
 
 

@@ -89,7 +89,14 @@ def attempt(folder, index=0, number=1):
     """The files of an attempt at a chunk."""
     chunk = CHUNKS[index].name
     files = ChunkFolder(folder / WORK / f"{chunk}-{number}", folder, chunk)
-    files.open()
+    files.path.mkdir(parents=True)
+    return files
+
+
+def new_folder(path):
+    """The folder of a chunk, without an attempt."""
+    files = ChunkFolder(path / "chunk", path)
+    files.path.mkdir()
     return files
 
 
@@ -120,18 +127,12 @@ def test_merge_depends_on_the_rows_alone(tmp_path):
     assert table["label"].to_pylist() == ["kcbts", "kcbts", "sbo", "sbo"]
 
 
-def test_uncommitted_parts_are_ignored(tmp_path):
-    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
-    chunk.open()
+def test_uncommitted_pieces_are_ignored(tmp_path):
+    chunk = new_folder(tmp_path)
     done(chunk, steps((0, 0, 1, 0.0)))
     chunk.write_piece({"steps": steps((0, 0, 2, 0.0))})
-    (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
-    (tmp_path / "chunk" / "checkpoint-00000007" / "stray").write_text("stray")
-    again = ChunkFolder(tmp_path / "chunk", tmp_path)
-    again.open()
-    assert [table.num_rows for table in again.tables("steps")] == [1]
-    names = sorted(path.name for path in (tmp_path / "chunk").iterdir())
-    assert names == ["piece-000000-steps.parquet", "state.json"]
+    again = ChunkFolder(chunk.path, tmp_path)
+    assert again.read() and [table.num_rows for table in again.tables("steps")] == [1]
 
 
 @pytest.mark.parametrize(
@@ -164,8 +165,7 @@ def test_runs_whose_belief_left_out_samples_are_counted(tmp_path):
 
 
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
-    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
-    chunk.open()
+    chunk = new_folder(tmp_path)
     chunk.write_piece({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
     chunk.commit()
     assert [table["step"].to_pylist() for table in chunk.tables("steps")] == [[1]]
@@ -207,8 +207,7 @@ def test_the_checkpoint_before_stays_until_the_next_one_is_committed(tmp_path):
         assert files.read()
         return files.state.advances, (files.checkpoint() / "state" / "array").read_text()
 
-    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
-    chunk.open()
+    chunk = new_folder(tmp_path)
     chunk.state.advances = 1
     chunk.commit(add_folder(chunk, "first"))
     chunk.write_piece({"steps": steps((0, 0, 1, 0.0))})
