@@ -105,7 +105,8 @@ def test_killed_during_a_save(tmp_path, seconds):
     command = [sys.executable, "-c", KILLED, str(tmp_path), str(seconds)]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert ended.returncode == -signal.SIGKILL and ended.stderr == ""
-    files = opened(tmp_path)
+    files = opened(tmp_path, "next")
+    assert files.inherit(opened(tmp_path))
     assert files.state.advances == 1  # the second one is not committed within milliseconds
     assert {path.name for path in files.path.iterdir()} == {"checkpoint-00000001", "state.json"}
     assert (sink_of(files).load(STRUCTURE)[0] == CARRY[0]).all()
