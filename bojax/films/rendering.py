@@ -87,7 +87,7 @@ class Renderer:
         self._renderer = mujoco.Renderer(self._model, height, width)
 
     def image(self, frame: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """An image `[height, width, 3]` of generalised positions, and possibly those of mocap bodies.
+        """An image `[height, width, 3]` for generalised positions, followed by poses of mocap bodies, if any.
 
         Raises:
             ValueError: The frame has another length than the model needs.

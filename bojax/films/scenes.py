@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bojax.robots.models import RobotModel
 
 GROUND, METAL, PALE, GOAL, TRAIL, RED = "#555555", "#4A5A68", "#8296A6", "#CDE8DB", "#B9C6D0", "#D55E00"
-"""Colours of fixed parts, two of moving parts, and those of the goal, trails, and flags and ends."""
+"""Colours of fixed parts, moving parts (two), the goal, trails, and flags and ends."""
 
 TRAIL_STEPS = 60
 
