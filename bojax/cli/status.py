@@ -32,7 +32,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def describe(folder: Path) -> tuple[list[str], bool]:
-    """The state of a sweep in lines, and whether a chunk has failed.
+    """Return the status report as lines, and whether any chunk failed.
 
     Raises:
         ResultsError: The folder is not that of a sweep.

@@ -156,6 +156,6 @@ def progress_of(owned: Mapping[FolderStorage, Sequence[Chunk]], tasks: Sequence[
 def workers_for(
     tasks: Iterable[GroupTask], devices: Iterable[Device], cores: int | None = None
 ) -> list[Device]:
-    """The device of each worker, on those platforms that groups are planned for."""
+    """The device of each worker, on the platforms that groups are planned for."""
     platforms = {task.platform for task in tasks}
     return workers_of([device for device in devices if device.platform in platforms], cores)

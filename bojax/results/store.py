@@ -73,7 +73,7 @@ def explained(path: Path, action: str = "written") -> Iterator[None]:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it, unless it is there.
+    """Create a folder and its parents if they do not exist.
 
     Raises:
         ResultsError: It cannot be made; one line.

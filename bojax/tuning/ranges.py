@@ -52,11 +52,11 @@ class Range:
         return self.position(self.low - spare), self.position(self.high + spare)
 
     def position(self, value: float) -> float:
-        """Where the search sees a value."""
+        """Map a setting value to its search coordinate."""
         return math.log10(value) if self.is_log else float(value)
 
     def value(self, position: float) -> int | float:
-        """The value at a position: an integer, or a number of `SIGNIFICANT` digits, within the bounds."""
+        """Map a search coordinate to a setting value, rounded and clipped to the bounds."""
         value = 10.0**position if self.is_log else position
         if self.is_integer:
             return int(min(max(math.floor(value + 0.5), self.low), self.high))
