@@ -112,8 +112,7 @@ def test_after_a_signal_reports_are_given_up(tmp_path, capsys, is_waiting, block
         else:
             reports.stop()
     assert reports.exit_code == (130 if is_waiting else 0)
-    what = (
-        "2 reports are not written; to write them" if is_waiting else "the report is not written; to write it"
-    )
+    what = "2 reports are not written; to write them"
+    what = what if is_waiting else "the report is not written; to write it"
     folders = " ".join(str(tmp_path / name) for name in names)
     assert f"interrupted; {what}: bojax report {folders}" in capsys.readouterr().err.splitlines()

@@ -84,6 +84,5 @@ def test_fresh_runs_confirm_the_score(tmp_path, monkeypatch, capfd):
     out = capfd.readouterr().out.splitlines()
     fresh = load(next(tmp_path.glob("results/car-best/*")))
     assert fresh.runs["run"].tolist() == [0, 1, 2, 3] and fresh.manifest.seed == 1
-    assert out[-1].startswith("mean steps to goal, or to the end of the longest run: ") and out[-1].endswith(
-        "4 runs"
-    )
+    assert out[-1].startswith("mean steps to goal, or to the end of the longest run: ")
+    assert out[-1].endswith("4 runs")

@@ -9,19 +9,13 @@ from bojax.config.sweep import load_sweep
 from bojax.report.build import build_report
 from tests.engine.drive import run_sweep
 
+TEST = {"kind": "latency", "labels": ["epsilon-greedy"], "below": 60.0}
 SWEEP = {
     "base": {"experiment": "learning", "env": {"kind": "chain", "length": 4, "max_length": 4}, "episodes": 2},
     "axes": {"learner": ["additive", "epsilon-greedy"]},
     "runs": 2,
     "record": {"runs": 0},
-    "claims": [
-        {
-            "id": "quick",
-            "claim": "an episode is quick",
-            "source": "here",
-            "test": {"kind": "latency", "labels": ["epsilon-greedy"], "below": 60.0},
-        }
-    ],
+    "claims": [{"id": "quick", "claim": "it is quick", "source": "here", "test": TEST}],
 }
 
 

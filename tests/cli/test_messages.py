@@ -42,26 +42,20 @@ def test_names_that_are_too_long_for_a_file(complain, write):
         assert complain("sweep", "s.yaml").startswith(f"error: s.yaml: {key}: xxx")
 
 
-def test_an_override_of_any_length_is_read(complain):
-    walls = ", ".join(40 * ["[0, 0, 1, 1]"])
-    assert "problem.walls: unknown key" in complain("run", "parking", f"problem.walls=[{walls}]")
-
-
 def test_an_argument_holds_no_control_characters(complain):
     for character in ("\x1b", "\x07", "\x9b", "\udcff"):
         assert "allowed: UTF-8 text without the character" in complain("run", f"parking{character}[31m")
 
 
-def test_an_override_may_have_several_lines(complain):
+def test_an_override_of_any_length_and_several_lines_is_read(complain):
+    walls = ", ".join(40 * ["[0, 0, 1, 1]"])
+    assert "problem.walls: unknown key" in complain("run", "parking", f"problem.walls=[{walls}]")
     assert "planner.depht: unknown key" in complain("run", "parking", "planner={kind: sbo,\n depht: 2}")
 
 
-def test_text_of_a_file_reaches_the_terminal_escaped(complain, write):
+def test_text_of_a_file_reaches_the_terminal_escaped(complain, write, capsys):
     write("x.yaml", "planner: {kind: \u202esbo}")  # turns the rest of the line around
     assert r"\u202esbo" in complain("run", "x.yaml")
-
-
-def test_lists_escape_titles(write, capsys):
     write("configs/mine.yaml", "title: \u202eparking")
     assert main(["list", "configs"]) == 0
     assert r"\u202eparking" in capsys.readouterr().out

@@ -73,13 +73,10 @@ def test_a_folder_with_content_is_refused(tmp_path, monkeypatch, capsys):
         assert [path.name for path in (tmp_path / file).iterdir()] == [file]
 
 
-def test_settings_are_left_to_sweep(capsys):
+def test_settings_and_a_folder_to_resume_that_is_not_there(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     assert main(["reproduce", "fig-4.6", "planner.iterations=3"]) == 2
     assert capsys.readouterr().err.endswith("bojax sweep changes settings\n")
-
-
-def test_nothing_to_resume(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
     assert main(["reproduce", "fig-4.6", "--resume"]) == 2
     assert "no reproduction to resume" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
@@ -171,7 +168,4 @@ def test_a_missing_report_is_an_error(reproduced, tmp_path, monkeypatch, capfd):
     (tmp_path / "out" / "fig-9.1a" / "report.html").mkdir()
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 1
     error = capfd.readouterr().err
-    assert (
-        "error: the report of out/fig-9.1a cannot be written" in error
-        and "bojax report out/fig-9.1a" in error
-    )
+    assert "error: the report of out/fig-9.1a cannot be written" in error and "bojax report out/" in error

@@ -98,25 +98,18 @@ def test_all_done_and_merged(folder, capsys):
     assert status(folder, capsys) == (0, [f"{folder.path}: finished"])
 
 
-@pytest.mark.parametrize("command", ["status", "worker"])
-def test_a_folder_without_a_sweep(tmp_path, capsys, command):
-    code = main([command, str(tmp_path)])
-    assert code == 2
-    assert f"error: {tmp_path}: no unfinished sweep in this folder on " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--devices", "0,x"], "--devices: got 0,x; allowed: different indices from 0, such as 0,2"),
-        (["--devices", "1,1"], "--devices: got 1,1; allowed: different indices"),
-        (["--cores", "0"], "--cores: got 0; allowed: >= 1"),
-        (["--share", "3/3"], "--share: got 3/3; allowed: NUMBER/COUNT"),
-    ],
-)
-def test_mistakes_of_a_worker(tmp_path, capsys, words, message):
-    assert main(["worker", str(tmp_path), *words]) == 2
-    assert message in capsys.readouterr().err
+def test_mistakes(tmp_path, capsys):
+    missing = f"error: {tmp_path}: no unfinished sweep in this folder on "
+    for command, words, message in (
+        ("status", "", missing),
+        ("worker", "", missing),
+        ("worker", "--devices 0,x", "--devices: got 0,x; allowed: different indices from 0, such as 0,2"),
+        ("worker", "--devices 1,1", "--devices: got 1,1; allowed: different indices"),
+        ("worker", "--cores 0", "--cores: got 0; allowed: >= 1"),
+        ("worker", "--share 3/3", "--share: got 3/3; allowed: NUMBER/COUNT"),
+    ):
+        assert main([command, str(tmp_path), *words.split()]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_a_worker_that_is_told_of_its_time_limit_while_it_imports_stops(tmp_path, capsys, monkeypatch):

@@ -85,10 +85,9 @@ def test_the_first_batch_fills_the_ranges():
     proposed = np.asarray(Search([RATE, WEIGHT], 0, 16, 16).propose(16))
     assert (proposed.min(axis=0) >= [RATE.low, WEIGHT.low]).all()
     assert (proposed.max(axis=0) <= [RATE.high, WEIGHT.high]).all()
-    counts, _ = np.histogram(np.log10(proposed[:, 0]), bins=4, range=(-3, 0))
-    assert counts.min() >= 3  # by the logarithm
-    counts, _ = np.histogram(proposed[:, 1], bins=4, range=(-2, 2))
-    assert counts.min() >= 3
+    for values, ends in ((np.log10(proposed[:, 0]), (-3, 0)), (proposed[:, 1], (-2, 2))):
+        counts, _ = np.histogram(values, bins=4, range=ends)
+        assert counts.min() >= 3
 
 
 def test_points_of_a_batch_are_apart_from_each_other():
@@ -119,15 +118,11 @@ def test_a_point_without_a_score_is_not_tried_again():
     assert np.isfinite(search.predict([missing])).all()
 
 
-@pytest.mark.parametrize("each", [RATE, WEIGHT, DEPTH])
-def test_values_stay_within_the_bounds(each):
-    low, high = each.box
-    values = [each.value(position) for position in np.linspace(low, high, 1001).tolist()]
-    assert min(values) == each.low and max(values) == each.high
-    assert [each.value(each.position(value)) for value in values] == values
-
-
-def test_every_integer_has_an_equal_share_of_the_range():
+def test_values_stay_within_the_bounds_and_integers_have_equal_shares():
+    for each in (RATE, WEIGHT, DEPTH):
+        values = [each.value(position) for position in np.linspace(*each.box, 1001).tolist()]
+        assert min(values) == each.low and max(values) == each.high
+        assert [each.value(each.position(value)) for value in values] == values
     low, high = DEPTH.box
     positions = np.linspace(low, high, 5001)[:-1].tolist()
     _, counts = np.unique([DEPTH.value(position) for position in positions], return_counts=True)

@@ -96,12 +96,10 @@ def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
     assert fresh.manifest.seed == 1 and len(fresh.points) == 4
     assert list(fresh.points[0].swept.values()) == tuning.best.values
     assert list(fresh.points[-1].swept.values()) == [0.1, 0.99]  # as written in the config
-    cells = re.findall(
-        r'"in the search" data-sort="(.*?)"><span>(.*?)<', (undisturbed / "report.html").read_text()
-    )
+    page = (undisturbed / "report.html").read_text()
+    cells = re.findall(r'"in the search" data-sort="(.*?)"><span>(.*?)<', page)
     assert len(cells) == 4  # sorted by their place in the search
     assert all(key == (text.split(" of ")[0] if " of " in text else "") for key, text in cells)
-    page = (undisturbed / "report.html").read_text()
     assert "as written in the config" in page and "learner.learning_rate" in page
 
 
@@ -121,9 +119,8 @@ def test_the_score_is_the_mean_over_the_runs_of_a_point(undisturbed):
     tuning = read_tuning(undisturbed)
     for index, point in enumerate(tuning.points):
         results = load(undisturbed / "rounds" / f"{index // 3:03d}")
-        assert tuning.measure.values(results, results.points[index % 3]).mean() == pytest.approx(
-            point.score, rel=1e-12
-        )
+        scores = tuning.measure.values(results, results.points[index % 3])
+        assert scores.mean() == pytest.approx(point.score, rel=1e-12)
 
 
 @pytest.fixture
@@ -329,23 +326,14 @@ def test_mistakes(tmp_path, monkeypatch, capsys):
         assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
 
 
-def test_the_metric_is_the_return_of_a_plan_or_of_the_last_episode(monkeypatch):
-    from bojax.cli import tuning
-
+def test_the_metric_is_a_return_and_an_integer_may_fix_a_shape(monkeypatch):
     asked = []
-    monkeypatch.setattr(tuning, "search", lambda task, *_: asked.append(task) or 0)
-    for words in (["parking", "planner.exploration=1:100"], ["chain", "learner.kappa=0:1"]):
-        assert main(["tune", *words]) == 0
+    monkeypatch.setattr("bojax.cli.tuning.search", lambda task, *_: asked.append(task) or 0)
+    for words in (
+        "parking planner.iterations=10:50 planner.exploration=1:100:log",
+        "chain learner.kappa=0:1",
+    ):
+        assert main(["tune", *words.split()]) == 0
     assert [task.column for task in asked] == ["return", "last_return"]
-
-
-def test_an_integer_that_fixes_a_shape_is_announced(tmp_path, monkeypatch):
-    from bojax.cli import tuning
-
-    asked = []
-    monkeypatch.setattr(tuning, "search", lambda task, *_: asked.append(task) or 0)
-    words = ["parking", "planner.iterations=10:50", "planner.exploration=1:100:log"]
-    assert main(["tune", *words]) == 0
-    (task,) = asked
-    assert task.recompiled == ("planner.iterations",)
-    assert [each.is_integer for each in task.ranges] == [True, False]
+    assert asked[0].recompiled == ("planner.iterations",)
+    assert [each.is_integer for each in asked[0].ranges] == [True, False]
