@@ -82,13 +82,15 @@ def _packages() -> Iterator[Finding]:
 
 def _extras() -> Iterator[Finding]:
     """Optional packages; the extras for a GPU are the subject of `devices`."""
-    missing = {
-        extra: needs for extra, needs in OPTIONAL.items() if importlib.util.find_spec(needs[0]) is None
-    }
-    if found := [f"{extra} ({purpose})" for extra, (_, purpose) in OPTIONAL.items() if extra not in missing]:
+    found, missing = [], []
+    for extra, (module, purpose) in OPTIONAL.items():
+        if importlib.util.find_spec(module):
+            found.append(f"{extra} ({purpose})")
+        else:
+            missing.append(f"{purpose}: {module} is not installed; {how_to_install(extra)}")
+    if found:
         yield Finding("ok", ", ".join(found))
-    for extra, (module, purpose) in missing.items():
-        yield Finding("note", f"{purpose}: {module} is not installed; {how_to_install(extra)}")
+    yield from (Finding("note", text) for text in missing)
 
 
 def _devices() -> Iterator[Finding]:
@@ -101,10 +103,8 @@ def _devices() -> Iterator[Finding]:
         devices = [device for device in jax.devices() if device.platform == platform_name]
         yield Finding("ok", f"{len(devices)} x {platform_name} ({devices[0].device_kind})")
     if jax.default_backend() == "cpu" and Path("/proc/driver/nvidia/version").exists():
-        yield Finding(
-            "note",
-            f"there is an NVIDIA driver, but JAX finds no GPU; {how_to_install('cuda13')} (or cuda12)",
-        )
+        lacks = "there is an NVIDIA driver, but JAX finds no GPU"
+        yield Finding("note", f"{lacks}; {how_to_install('cuda13')} (or cuda12)")
 
 
 def _computation() -> Iterator[Finding]:
@@ -157,10 +157,8 @@ def _films() -> Iterator[Finding]:
 
     from bojax.films.rendering import BACKENDS, CannotDraw, backend
 
-    has_ffmpeg = FFMpegWriter.isAvailable()
-    yield Finding(
-        "ok" if has_ffmpeg else "note", "GIF and MP4" if has_ffmpeg else "GIF only; MP4 needs ffmpeg"
-    )
+    has_mp4 = FFMpegWriter.isAvailable()
+    yield Finding("ok", "GIF and MP4") if has_mp4 else Finding("note", "GIF only; MP4 needs ffmpeg")
     try:
         name = backend() or "its default backend"
     except CannotDraw as error:

@@ -2,7 +2,7 @@
 
 import shutil
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from bojax.cli.parser import Parser, UsageError
@@ -72,9 +72,8 @@ def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
         path = available(folder).get(name)
         if path is not None:
             command = "run" if folder == "configs" else "sweep"
-            blocks.append(
-                f"{name}: a {folder[:-1]}, {display(path)}\n  {_title(path)}\n  bojax {command} {name}"
-            )
+            about = f"{name}: a {folder[:-1]}, {display(path)}\n  {_title(path)}"
+            blocks.append(f"{about}\n  bojax {command} {name}")
     sweeps = groups[_REPRODUCTIONS].get(name)
     if isinstance(sweeps, list):
         names = _indented(", ".join(sweeps))
@@ -86,25 +85,18 @@ def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
 
 
 def _part(role: str, schema: type[Component]) -> str:
-    settings = settings_of(schema)
-    kind = schema.model_fields["kind"].default
-    head = f"{kind}: {_article(role)}\n{_indented(summary_of(schema))}"
-    if not settings:
-        return f"{head}\n\n  This part has no settings."
-    rows = [("setting", "type", "default", "meaning")]
-    rows += [(setting.name, setting.type, setting.default, setting.meaning) for setting in settings]
-    return f"{head}\n\n{_table(rows)}"
-
-
-def _article(role: str) -> str:
-    if role == "motions":
-        return "a family of trajectories (role motions)"
-    return f"{'an' if role[0] in 'aeiou' else 'a'} {role}"
+    what = "a family of trajectories (role motions)" if role == "motions" else f"a {role}"
+    what = f"an {role}" if role[0] in "aeiou" else what
+    head = f"{schema.model_fields['kind'].default}: {what}\n{_indented(summary_of(schema))}"
+    rows = [(each.name, each.type, each.default, each.meaning) for each in settings_of(schema)]
+    table = (
+        _table([("setting", "type", "default", "meaning"), *rows]) if rows else "  This part has no settings."
+    )
+    return f"{head}\n\n{table}"
 
 
 def _group(title: str, members: Members) -> str:
-    rows = [(name, _summary(member)) for name, member in members.items()]
-    return f"{title}\n{_table(rows)}"
+    return f"{title}\n{_table([(name, _summary(member)) for name, member in members.items()])}"
 
 
 def _summary(member: type[Component] | Path | list[str]) -> str:
@@ -117,14 +109,13 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
     """A table with aligned columns; the last column is wrapped to the width of the terminal."""
     rows = [[escaped(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
-    return "\n".join(_row(row, widths) for row in rows)
-
-
-def _row(row: Sequence[str], widths: Iterable[int]) -> str:
-    start = "  " + "".join(f"{cell:<{width}}  " for cell, width in zip(row[:-1], widths, strict=True))
-    room = max(_width() - len(start), 30)
-    lines = textwrap.wrap(row[-1], room) or [""]
-    return "\n".join([start + lines[0], *(" " * len(start) + line for line in lines[1:])]).rstrip()
+    lines = []
+    for *cells, last in rows:
+        start = "  " + "".join(f"{cell:<{width}}  " for cell, width in zip(cells, widths, strict=True))
+        room = max(_width() - len(start), 30)
+        first, *more = textwrap.wrap(last, room) or [""]
+        lines += [(start + first).rstrip(), *(" " * len(start) + line for line in more)]
+    return "\n".join(lines)
 
 
 def _indented(text: str) -> str:

@@ -107,16 +107,4 @@ def checked(args: argparse.Namespace) -> Task:
                 allowed += "; compare several values by a sweep (axes: {KEY: [...]})"
                 break
         raise UsageError(f"bojax tune: got {got}; allowed: {allowed}")
-    return make_task(
-        read_source(sources[0]),
-        asked,
-        overrides,
-        runs=args.runs,
-        seed=args.seed,
-        metric=args.metric,
-        is_least=args.minimise,
-        budget=args.budget,
-        batch=args.batch,
-        confirm=args.confirm,
-        builds_on_cpu=args.launcher != "inline",
-    )
+    return make_task(read_source(sources[0]), asked, overrides, args)

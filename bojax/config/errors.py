@@ -130,21 +130,14 @@ def from_validation(
 
 
 _EXPECTED = {
-    "int_type": "an integer",
-    "int_parsing": "an integer",
-    "int_from_float": "an integer",
-    "float_type": "a number",
-    "float_parsing": "a number",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "an integer"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     "finite_number": "a finite number",
     "string_type": "text",
     "string_too_short": "text that is not empty",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "dict_type": "a mapping",
-    "model_type": "a mapping",
-    "model_attributes_type": "a mapping",
-    "list_type": "a list",
-    "tuple_type": "a list",
     "none_required": "null",
 }
 """The values allowed, by the type of a pydantic error."""
@@ -164,9 +157,8 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         name, kinds = line["loc"][-1], context["kinds"]
         key = "experiment" if context["role"] == "experiment" else "kind"
         owners = f" (a setting of {key}={listed(name, kinds)})" if kinds else ""
-        return (
-            "unknown key" + owners + allowed_names(name, names) + _below(line["loc"], names, context["open"])
-        )
+        below = _below(line["loc"], names, context["open"])
+        return f"unknown key{owners}{allowed_names(name, names)}{below}"
     if kind == "missing" and isinstance(line["loc"][-1], int):
         return f"missing; the list {shown(value)} is too short"
     if kind == "missing":

@@ -84,16 +84,6 @@ def counts_of(component: Component, path: Location = ()) -> Iterator[tuple[Locat
             yield where, value, max(1, default if type(default) is int else 0)
 
 
-def check_counts(component: Component, locate: Callable[[Location], str]) -> None:
-    """Refuse an integer of an experiment that is larger than any array or loop can be.
-
-    Raises:
-        ConfigError: An integer is above the limit; `locate` formats its path.
-    """
-    for path, number, _ in counts_of(component):
-        COUNT.check(number, locate(path))
-
-
 def memory(num_bytes: int) -> str:
     """An amount of memory in the largest unit in which it is at least 1."""
     units = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")

@@ -13,7 +13,7 @@ from bojax.config.claims import Claim
 from bojax.config.component import RECORDED, Component, Slot, merged
 from bojax.config.errors import ConfigError, Location, dotted, from_validation, shown
 from bojax.config.files import shipped
-from bojax.config.limits import RUNS, check_counts
+from bojax.config.limits import COUNT, RUNS, counts_of
 from bojax.config.origin import Origin
 from bojax.config.overrides import SOURCE, Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
@@ -37,10 +37,6 @@ class Point:
     config: Component
 
 
-def _locate_point(index: int, location: Location) -> str:
-    return f"point {index}: {dotted(location)}"
-
-
 @dataclass(frozen=True)
 class Sweep:
     """A sweep, validated except for the parts given by import path."""
@@ -58,7 +54,9 @@ class Sweep:
     source: Path
     published: Path | None = None  # the shipped sweep of this name, with which results are compared
     # Formats the origin of a setting of a point as `FILE: dotted.path`, for messages.
-    locate: Callable[[int, Location], str] = field(default=_locate_point, repr=False, compare=False)
+    locate: Callable[[int, Location], str] = field(
+        default=lambda index, location: f"point {index}: {dotted(location)}", repr=False, compare=False
+    )
 
     @property
     def is_published(self) -> bool:
@@ -155,7 +153,8 @@ def _expanded(
             config = validate_experiment(raw)
         except pydantic.ValidationError as error:
             raise from_validation(error, locate, siblings=(*RESERVED, "experiment")) from error
-        check_counts(config, locate)
+        for path, number, _ in counts_of(config):
+            COUNT.check(number, locate(path))
         points.append(_point(index, config, combination))
     try:
         values = Settings.model_validate(settings)

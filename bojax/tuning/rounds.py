@@ -119,7 +119,7 @@ class _Rounds:
         task = self._task
         for number in range(task.rounds):
             folder = round_folder(self._folder, number)
-            if not _is_finished(folder):
+            if is_unfinished(folder) or not (folder / MANIFEST).is_file():
                 points = self._search.propose(task.batch)
                 if not points:
                     print("all values of the tuned settings have been tried")
@@ -235,7 +235,3 @@ class _Rounds:
         values = sorted({each.value(position) for position in positions.tolist()})
         mean, std = self._expected([(*best[:index], value, *best[index + 1 :]) for value in values])
         return {"values": values, "mean": mean.tolist(), "std": std.tolist()}
-
-
-def _is_finished(folder: Path) -> bool:
-    return (folder / MANIFEST).is_file() and not is_unfinished(folder)

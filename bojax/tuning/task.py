@@ -1,6 +1,7 @@
 """What a search over settings is asked for, checked before anything runs. Imports JAX only to check it."""
 
 import dataclasses
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,44 +63,30 @@ class Task:
         return resolved(dataclasses.replace(sweep, name=name, source=config.source))
 
 
-def make_task(
-    source: Source,
-    asked: Sequence[Asked],
-    overrides: Sequence[str],
-    *,
-    runs: int | None,
-    seed: int | None,
-    metric: str | None,
-    is_least: bool,
-    budget: int | None,
-    batch: int,
-    confirm: int,
-    builds_on_cpu: bool,
-) -> Task:
-    """Check a search. The arguments are the options of `bojax tune`, None for one that is not given.
-
-    With `builds_on_cpu`, this process leaves the accelerators to workers.
+def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], options: Namespace) -> Task:
+    """Check a search with the options of `bojax tune`.
 
     Raises:
         ConfigError: A setting, a range or an option is wrong.
     """
 
     def at(*changes: str) -> Sweep:
-        return resolved(load_config(source, [*overrides, *changes], runs, seed))
+        return resolved(load_config(source, [*overrides, *changes], options.runs, options.seed))
 
     config = at()
     ends = [[at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked]
     ranges = tuple(range_of(each, *configs) for each, configs in zip(asked, ends, strict=True))
-    rounds = _rounds(budget, batch, config.runs)
-    device = "cpu" if builds_on_cpu else config.engine.device
+    rounds = _rounds(options.budget, options.batch, config.runs)
+    # With a launcher, this process leaves the accelerators to workers.
+    device = config.engine.device if options.launcher == "inline" else "cpu"
     return Task(
         config=config,
         ranges=ranges,
-        column=_metric(metric, config, device),
-        is_least=is_least,
-        batch=batch,
+        column=_metric(options.metric, config, device),
+        is_least=options.minimise,
+        batch=options.batch,
         rounds=rounds,
-        confirm=confirm,
+        confirm=options.confirm,
         recompiled=_recompiled(ranges, ends, device),
     )
 
