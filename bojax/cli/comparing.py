@@ -27,9 +27,8 @@ def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     args = _parser(name).read(words)
     if not args.folders and not args.csv:
-        raise UsageError(
-            f"bojax {name}: got none; allowed: results folders or --csv files (see: bojax {name} --help)"
-        )
+        allowed = f"results folders or --csv files (see: bojax {name} --help)"
+        raise UsageError(f"bojax {name}: got none; allowed: {allowed}")
     sources = [*args.folders, *args.csv]
     if duplicates := [source for source in sources if sources.count(source) > 1]:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
@@ -39,19 +38,9 @@ def main(name: str, words: Sequence[str]) -> int:
 
     out = args.out or dated_folder(name)
     require_empty(out)
-    page = compare(
-        args.folders,
-        args.csv,
-        out,
-        metric=args.metric,
-        axis=args.x,
-        phase=args.phase,
-        last=args.last,
-        at=args.at,
-        reference=args.reference,
-        command=shlex.join(["bojax", name, *words]),
-    )
-    print(page)
+    values = {option: getattr(args, option) for option in ("metric", "phase", "last", "at", "reference")}
+    command = shlex.join(["bojax", name, *words])
+    print(compare(args.folders, args.csv, out, axis=args.x, command=command, **values))
     return 0
 
 

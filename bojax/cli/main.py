@@ -112,17 +112,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _end_output(error)
     except Exception as error:
         code, what = getattr(error, "exit_code", None), ""
-        if isinstance(error, ValueError) and _has_stopped_importing("jax"):
+        has_begun = any(name.startswith("jax.") for name in sys.modules)
+        if isinstance(error, ValueError) and has_begun and "jax" not in sys.modules:
             code, what = UsageError.exit_code, "JAX refuses its environment variables: "
         if code is None:
             raise
         print(printable(f"error: {what}{error}"), file=sys.stderr)
         return code
-
-
-def _has_stopped_importing(package: str) -> bool:
-    """Whether an import of a package has failed after some of its modules."""
-    return package not in sys.modules and any(name.startswith(f"{package}.") for name in sys.modules)
 
 
 def _run_to_the_end(words: list[str]) -> int:

@@ -1,8 +1,8 @@
 """`bojax render`: a film or a still of a recorded run, from the files of a results folder."""
 
-import math
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
+from contextlib import suppress
 
 from bojax.cli.parser import Parser, integer, path
 
@@ -50,13 +50,10 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= 1.0:
-        raise ArgumentTypeError(f"got {text}; allowed: a number from 0 to 1")
-    return value
+    with suppress(ValueError):
+        if 0.0 <= (value := float(text)) <= 1.0:
+            return value
+    raise ArgumentTypeError(f"got {text}; allowed: a number from 0 to 1")
 
 
 def _parser(name: str) -> Parser:

@@ -66,13 +66,8 @@ def main(name: str, words: Sequence[str]) -> int:
     if not args.out:  # so that the printed command resumes this folder
         words = [*words, "--out", str(out)]
     start = time.monotonic()
-    code = run(
-        [resolved(sweep) for sweep in sweeps],
-        folders,
-        args.resume,
-        ["bojax", name, *words],
-        launching=args,
-    )
+    command = ["bojax", name, *words]
+    code = run([resolved(sweep) for sweep in sweeps], folders, args.resume, command, launching=args)
     if code not in (0, 1) or not all((folder / "manifest.json").exists() for folder in folders):
         return code
 

@@ -14,15 +14,8 @@ from bojax.config.errors import dotted, from_validation
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
-
-def _settings_modules() -> list[str]:
-    """Names of the modules called `settings`, in every package below `bojax`."""
-    files = sorted(_PACKAGE.rglob("settings.py"))
-    return [".".join(["bojax", *file.relative_to(_PACKAGE).with_suffix("").parts]) for file in files]
-
-
-for _name in _settings_modules():
-    importlib.import_module(_name)
+for _file in sorted(_PACKAGE.rglob("settings.py")):
+    importlib.import_module(".".join(["bojax", *_file.relative_to(_PACKAGE).with_suffix("").parts]))
 
 
 def roles() -> dict[str, type[Component]]:

@@ -47,9 +47,5 @@ class Origin:
         return self.base(location)
 
     def _is_overridden(self, location: Location) -> bool:
-        return any(_related(path, location) for path in self.overridden)
-
-
-def _related(path: Sequence[str], location: Location) -> bool:
-    """Whether one path is a prefix of the other."""
-    return all(a == b for a, b in zip(path, location, strict=False))
+        """Whether the command line sets the location, a parent of it or a part of it."""
+        return any(all(a == b for a, b in zip(path, location, strict=False)) for path in self.overridden)

@@ -3,13 +3,13 @@
 `python -m bojax.config.reference > docs/settings.md` writes the page.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import pydantic
 
 from bojax.config.catalog import kinds, roles
 from bojax.config.claims import Claim, Explanation, Window
-from bojax.config.component import Component, registry
+from bojax.config.component import registry
 from bojax.config.describe import settings_of, summary_of
 from bojax.config.settings import EngineConfig, Record, Settings
 from bojax.config.sweep_file import Report, SweepFile
@@ -49,22 +49,18 @@ def _lines() -> Iterator[str]:
         yield from _about(schema)
     for role, base in roles().items():
         yield f"## {base.plural.capitalize()}\n"
-        yield _protocol(role, base)
-        for kind, schema in kinds(role).items():
-            yield f"### `{kind}`\n"
-            yield from _about(schema)
+        own = "A class of your own, given as `module:Class`, derives from"
+        protocol = f" {own} `{base.protocol.replace(':', '.')}`." if base.protocol else ""
+        yield f"Role `{role}`.{protocol}\n"
+        yield from _parts(kinds(role))
     yield "## Tests of claims\n"
-    for kind, schema in registry["test"].items():
+    yield from _parts(registry["test"])
+
+
+def _parts(schemas: Mapping[str, type[pydantic.BaseModel]]) -> Iterator[str]:
+    for kind, schema in schemas.items():
         yield f"### `{kind}`\n"
         yield from _about(schema)
-
-
-def _protocol(role: str, base: type[Component]) -> str:
-    text = f"Role `{role}`."
-    if base.protocol:
-        base_class = base.protocol.replace(":", ".")
-        text += f" A class of your own, given as `module:Class`, derives from `{base_class}`."
-    return text + "\n"
 
 
 def _about(schema: type[pydantic.BaseModel]) -> Iterator[str]:

@@ -19,13 +19,9 @@ def saved(sweep: Sweep) -> dict[str, Any]:
         "engine": sweep.engine.model_dump(mode="json"),
         "config": sweep.base,
         "points": [
-            {
-                "label": point.label,
-                "variant": point.variant,
-                "swept": point.swept,
-                "config": point.config.model_dump(mode="json"),
-            }
-            for point in sweep.points
+            {"label": each.label, "variant": each.variant, "swept": each.swept}
+            | {"config": each.config.model_dump(mode="json")}
+            for each in sweep.points
         ],
     }
 

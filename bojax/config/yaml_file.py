@@ -123,17 +123,13 @@ def mapping_of(content: bytes, name: str) -> dict[str, Any]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{name}: is not UTF-8 text (byte {error.start})") from error
-    value = copy.deepcopy(_remembered(text, name)) if len(text) <= MAX_REMEMBERED else parse(text, name)
+    value = copy.deepcopy(_parse_once(text, name)) if len(text) <= MAX_REMEMBERED else parse(text, name)
     if value is None:
         raise ConfigError(f"{name}: is empty; allowed: a mapping of settings (key: value)")
     if not isinstance(value, dict):
-        raise ConfigError(f"{name}: holds {_type_of(value)}; allowed: a mapping of settings (key: value)")
+        kind = {list: "a list", str: "text", bool: "a Boolean"}.get(type(value), "a number")
+        raise ConfigError(f"{name}: holds {kind}; allowed: a mapping of settings (key: value)")
     return value
-
-
-@functools.lru_cache(maxsize=256)
-def _remembered(text: str, name: str) -> Any:
-    return parse(text, name)
 
 
 def parse(text: str, name: str) -> Any:
@@ -163,6 +159,9 @@ def parse(text: str, name: str) -> Any:
         raise ConfigError(f"{name}: is not YAML: {one_line(error)}") from error
     except RecursionError as error:
         raise ConfigError(f"{name}: is nested too deeply") from error
+
+
+_parse_once = functools.lru_cache(maxsize=256)(parse)
 
 
 def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yaml.Node, ...]) -> Any:
@@ -220,7 +219,3 @@ def _construct_mapping(
         lines[key] = line
         own[key] = value
     return inherited | own
-
-
-def _type_of(value: Any) -> str:
-    return {list: "a list", str: "text", bool: "a Boolean"}.get(type(value), "a number")

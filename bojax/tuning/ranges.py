@@ -29,11 +29,6 @@ class Asked(NamedTuple):
     high: str
     is_log: bool
 
-    @property
-    def path(self) -> tuple[str, ...]:
-        """The path of the setting."""
-        return tuple(self.key.split("."))
-
 
 @dataclass(frozen=True)
 class Range:
@@ -79,8 +74,8 @@ def split_ranges(words: Iterable[str]) -> tuple[list[Asked], list[str]]:
     for each in asked:
         got = f"{SOURCE}: {each.key}: got {each.low}:{each.high}; allowed: "
         low, high = float(each.low), float(each.high)
-        if each.path[0] in (*RESERVED, "experiment"):
-            raise ConfigError(f"{got}settings of the experiment; {each.path[0]} cannot be tuned")
+        if (first := each.key.partition(".")[0]) in (*RESERVED, "experiment"):
+            raise ConfigError(f"{got}settings of the experiment; {first} cannot be tuned")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigError(f"{got}low:high with low < high, both finite")
         if each.is_log and low <= 0.0:
@@ -95,7 +90,7 @@ def range_of(asked: Asked, at_low: Component, at_high: Component) -> Range:
     Raises:
         ConfigError: The setting is not a number.
     """
-    low, high = (value_at(config, asked.path) for config in (at_low, at_high))
+    low, high = (value_at(config, asked.key) for config in (at_low, at_high))
     if low is None or high is None:
         raise ConfigError(
             f"{SOURCE}: {asked.key}: got {asked.low}:{asked.high}; allowed: the range of a number, "
@@ -105,9 +100,9 @@ def range_of(asked: Asked, at_low: Component, at_high: Component) -> Range:
     return Range(asked.key, low, high, asked.is_log, is_integer)
 
 
-def value_at(config: Component, path: Sequence[str]) -> int | float | None:
-    """The number at a path; None if the setting is not a number."""
-    value: Any = reduce(lambda part, name: getattr(part, name, None), path, config)
+def value_at(config: Component, key: str) -> int | float | None:
+    """The number at a dotted path; None if the setting is not a number."""
+    value: Any = reduce(lambda part, name: getattr(part, name, None), key.split("."), config)
     return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 

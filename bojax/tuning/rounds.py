@@ -148,18 +148,14 @@ class _Rounds:
             _Tried(number, self._values(point), float(self._measure.values(results, point).mean()))
             for point in results.points
         ]
-        self._search.tell(
-            [each.values for each in tried], [self._measure.sign * each.score for each in tried]
-        )
+        scores = [self._measure.sign * each.score for each in tried]
+        self._search.tell([each.values for each in tried], scores)
         self._tried += tried
         if order := self._order():
             best = self._tried[order[0]].values
             mean, _ = self._expected([best])
-            print(
-                f"round {number + 1} of {self._task.rounds}: {self._measure.words} {mean[0]:.4g} expected "
-                f"at {described(self._task.ranges, best)}",
-                flush=True,
-            )
+            found = f"{self._measure.words} {mean[0]:.4g} expected at {described(self._task.ranges, best)}"
+            print(f"round {number + 1} of {self._task.rounds}: {found}", flush=True)
 
     def _values(self, point: Point) -> Values:
         """The values of the tuned settings at a point of a round."""
@@ -184,18 +180,13 @@ class _Rounds:
         """
         task, config = self._task, self._task.config
         points = [self._tried[index].values for index in order[:TOP]]
-        written = [value_at(config.points[0].config, key.split(".")) for key in self._keys]
+        written = [value_at(config.points[0].config, key) for key in self._keys]
         known = tuple(value for value in written if value is not None)
         if len(known) == len(written) and known not in points:
             points.append(known)
         name = f"confirm-{len(self._tried)}-{task.confirm}"
-        sweep = task.sweep(
-            points,
-            name,
-            runs=task.confirm,
-            seed=(config.seed + 1) % 2**32,
-            record=config.record.model_dump(mode="json"),
-        )
+        changes = {"runs": task.confirm, "seed": (config.seed + 1) % 2**32}
+        sweep = task.sweep(points, name, **changes, record=config.record.model_dump(mode="json"))
         if code := self._run(sweep, self._folder / name):
             return code
         for standing in ranking(load(self._folder / name), self._measure):
