@@ -1,12 +1,14 @@
 """What a caller gives becomes the values of a YAML file, or is refused in one line."""
 
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from bojax.api.given import Values
 from bojax.config.errors import ConfigError
 from bojax.planning.settings import SBO
+from tests.refusals import assert_refused
 
 
 class Mine:
@@ -20,20 +22,10 @@ CIRCLE["a"] = CIRCLE
 
 def test_numbers_arrays_settings_and_classes_have_a_form():
     values = Values()
-    given = {
-        "a": np.float64(1e-7),
-        "b": np.arange(3),
-        "c": jnp.float32(0.5),
-        "d": (1, (2.0, None)),
-        "e": {"text": "β: 'x'\n😀", "flag": True},
-    }
-    assert values.mapping(given, "config.yaml") == {
-        "a": 1e-7,
-        "b": [0, 1, 2],
-        "c": 0.5,
-        "d": [1, [2.0, None]],
-        "e": {"text": "β: 'x'\n😀", "flag": True},
-    }
+    text = {"e": {"text": "β: 'x'\n😀", "flag": True}}
+    given = {"a": np.float64(1e-7), "b": np.arange(3), "c": jnp.float32(0.5), "d": (1, (2.0, None)), **text}
+    plain = {"a": 1e-7, "b": [0, 1, 2], "c": 0.5, "d": [1, [2.0, None]], **text}
+    assert values.mapping(given, "config.yaml") == plain
     assert not values.has_classes
     found = values.mapping({"planner": SBO(depth=2), "problem": {"kind": Mine}}, "config.yaml")
     assert found["planner"]["kind"] == "sbo" and found["planner"]["depth"] == 2
@@ -55,6 +47,5 @@ REFUSED = [
 
 
 def test_anything_else_is_refused():
-    for given, message in REFUSED:
-        with pytest.raises(ConfigError, match=message):
-            Values().mapping(given, "config.yaml")
+    read = partial(Values().mapping, name="config.yaml")
+    assert_refused([(partial(read, given), message) for given, message in REFUSED], ConfigError)

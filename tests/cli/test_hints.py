@@ -86,14 +86,9 @@ def test_hints(write, capsys):
         assert out == "" and err.count("\n") == 1 and hint in err, (words, err)
 
 
-@pytest.fixture
-def ran(monkeypatch):
-    """Runs nothing."""
-    monkeypatch.setattr("bojax.engine.run.run_sweeps", lambda *_, **__: 1)
-
-
 @pytest.mark.parametrize(("command", "folder"), [("run", "configs"), ("sweep", "sweeps")])
-def test_a_file_that_hides_a_shipped_one_is_mentioned(ran, write, capsys, command, folder):
+def test_a_file_that_hides_a_shipped_one_is_mentioned(monkeypatch, write, capsys, command, folder):
+    monkeypatch.setattr("bojax.engine.run.run_sweeps", lambda *_, **__: 1)
     text = (shipped(folder) / "two-pits.yaml").read_text()
     write(f"{folder}/two-pits.yaml", text)
     assert main([command, "two-pits"]) == 1

@@ -282,12 +282,7 @@ def test_windows_is_refused_in_one_line(here, capsys, monkeypatch):
     assert finding.state == "FAILED" and finding.text.startswith("running a sweep needs Linux or macOS")
 
 
-def test_the_version(capsys):
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"bojax {__version__}\n"
-
-
-def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(monkeypatch):
+def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(monkeypatch, capsys):
     preallocate, allocator = "XLA_PYTHON_CLIENT_PREALLOCATE", "XLA_PYTHON_CLIENT_ALLOCATOR"
     for given, chosen in (
         ({}, {preallocate: "false", allocator: "cuda_async"}),
@@ -297,6 +292,7 @@ def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(monkeypatch):
         monkeypatch.setattr("os.environ", environment := dict(given))
         assert main(["--version"]) == 0
         assert environment == {**chosen, "OPENBLAS_NUM_THREADS": "1"}
+        assert capsys.readouterr().out == f"bojax {__version__}\n"
 
 
 class FullDisk(io.StringIO):

@@ -11,7 +11,6 @@ from bojax.experiments.settings import Planning
 from bojax.models.settings import Matern52
 from bojax.motions.settings import ContinuousMotions, KernelTrajectories, Splines
 from bojax.planning.settings import KCBTS, SBO
-from bojax.problems.settings import Parking
 from tests.parts import FILES, REQUIRED
 
 
@@ -22,13 +21,6 @@ def test_dumping_and_reading_back_gives_the_same(write):
         for kind, schema in catalog.kinds(role).items():
             part = schema(**REQUIRED.get(kind, {}))
             assert Slot(role).validate(part.model_dump(mode="json")) == part
-
-
-def test_parts_are_frozen_and_equal_by_value():
-    with pytest.raises(pydantic.ValidationError):
-        Parking().half_width = 2.0
-    assert Parking() == Parking()
-    assert Parking(half_width=2.0) != Parking()
 
 
 def test_only_integers_are_converted_and_to_floats_alone():

@@ -39,13 +39,9 @@ def test_the_parking_sweep_is_figure_4_6():
     assert {claim.test.kind for claim in sweep.claims} == {"order", "share", "trend"}
 
 
-def test_shipped_files_are_found_from_anywhere(write):
-    write("unrelated.yaml", "planner: sbo")
+def test_a_file_in_the_working_directory_hides_a_shipped_one(write):
     assert load_sweep("parking").source == shipped("sweeps") / "fig-4.6.yaml"
     assert load_sweep("parking").is_published
-
-
-def test_a_file_in_the_working_directory_hides_a_shipped_one(write):
     path = write("configs/parking.yaml", "planner: sbo")
     assert load_config("parking").source.resolve() == path
     write("sweeps/parking.yaml", "{base: {}, axes: {planner.depth: [1, 2]}}")
@@ -161,7 +157,7 @@ class TestAxes:
         assert [point.variant for point in sweep.points][:3] == ["kcbts", "deep", "deep-kcbts"]
         assert sweep.points[4].label == "sbo" and sweep.points[4].swept == {"planner": "sbo-9"}
 
-    def test_a_named_subtree_over_a_default(self, write):
+        # Over a default.
         write("x.yaml", "{base: {planner: {iterations: 50}}, axes: {planner: {kcbts: {}, more: {depth: 4}}}}")
         sweep = load_sweep("x.yaml")
         assert [planner(sweep, 0), planner(sweep, 1)] == [KCBTS(iterations=50), KCBTS(iterations=50, depth=4)]
@@ -175,13 +171,11 @@ class TestAxes:
         config = sweep.points[2].config
         assert config.problem == Parking(half_width=3.0)
 
-    def test_names_of_plain_values(self, write):
+    def test_names_of_plain_values_and_kinds_as_values(self, write):
         write("x.yaml", "{base: {}, axes: {planner.depth: {shallow: 1, deep: 9}}}")
         sweep = load_sweep("x.yaml")
         assert planner(sweep, 1) == KCBTS(depth=9)
         assert sweep.points[1].swept == {"planner.depth": "deep"}
-
-    def test_kinds_as_values(self, write):
         write("x.yaml", "{base: {}, axes: {planner: [kcbts, sbo]}}")
         sweep = load_sweep("x.yaml")
         assert [point.variant for point in sweep.points] == ["kcbts", "sbo"]
