@@ -1,6 +1,6 @@
 """`bojax bench`: the benchmarks of the repository, which compare bojax with other packages."""
 
-import importlib.util
+import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -57,13 +57,7 @@ def find_benchmarks() -> dict[str, Path]:
 
 
 def _load(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise UsageError(f"{path}: cannot be imported")
     folder = str(path.parent.resolve())
     if folder not in sys.path:  # the benchmarks import shared modules of this folder
         sys.path.insert(0, folder)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    spec.loader.exec_module(module)
-    return module
+    return importlib.import_module(path.stem)
