@@ -183,11 +183,12 @@ class AttemptRegistry:
             found = self.committed(chunk)
             pieces = found.state.pieces if found else 0
             losses, is_paused = 0, self.paused.get(chunk) == before
-            last = self.attempt(chunk, before)
-            if last is not None and last.launch == launch and not is_paused:
+            last, here = self.attempt(chunk, before), process_identity(os.getpid())
+            # A worker that somebody starts beside another one repeats its chunks; the other one is not lost.
+            if last is not None and last.launch == launch and not is_paused and not _is_other(last, here):
                 # A chunk that makes progress does not kill its owners: after a commit, counting begins anew.
                 losses = last.losses + 1 if last.pieces == pieces else 1
-            own = Attempt(launch, socket.gethostname(), process_identity(os.getpid()), pieces, losses)
+            own = Attempt(launch, socket.gethostname(), here, pieces, losses)
             write_json(files.path / _ATTEMPT, asdict(own), durably=False)
             if losses == MOST_LOSSES:
                 self.end(
@@ -256,6 +257,13 @@ def process_identity(pid: int) -> list[str] | None:
         return [boot, os.readlink("/proc/self/ns/pid"), str(pid), fields[19]]
     except OSError:
         return None
+
+
+def _is_other(attempt: Attempt, here: list[str] | None) -> bool:
+    """Whether the owner of an attempt is another process of this machine, and runs."""
+    process = attempt.process
+    is_of_machine = process is not None and here is not None and process[:2] == here[:2]
+    return is_of_machine and process != here and not is_gone(process)
 
 
 def is_gone(process: list[str] | None) -> bool:

@@ -173,7 +173,7 @@ def test_a_cluster_loses_its_only_node(tmp_path):
     finally:
         cluster.shutdown()
     assert driver.returncode == 1, text
-    reason, advice = text.splitlines()[-2:]
+    reason, advice = [line for line in text.splitlines() if line.startswith("error: ")][-2:]
     assert reason == f"error: --launcher ray: the cluster at {address} has no node for a worker any more"
     assert advice.startswith("error: the workers have ended early; to go on: bojax sweep ")
 

@@ -1,5 +1,6 @@
 """Attempts at chunks: who may write where, what is taken over, and when a chunk has failed."""
 
+import json
 import os
 import subprocess
 import sys
@@ -99,6 +100,16 @@ def test_a_chunk_whose_owner_is_lost_twice_in_a_launch_without_a_commit_has_fail
 def test_who_is_paused_is_not_lost(work):
     for _ in range(4):
         registry(work).end(begin(work), "paused", {})
+    assert not registry(work).failed
+
+
+def test_an_owner_that_runs_beside_another_one_is_not_lost(work):
+    """As a worker that somebody starts beside a command which runs the sweep itself."""
+    for _ in range(4):
+        path = begin(work).path / "attempt.json"
+        path.write_text(
+            json.dumps({**json.loads(path.read_text()), "process": process_identity(os.getppid())})
+        )
     assert not registry(work).failed
 
 
