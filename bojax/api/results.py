@@ -225,16 +225,10 @@ class TuningResults:
         The columns are the tuned settings by dotted path, `round` from 0, `score`, the mean of the metric,
         and the posterior `mean` and `std` of the metric without noise. Points without a score are left out.
         """
-        keys, points = [each.key for each in self._tuning.ranges], self._tuning.points
-        return pa.Table.from_pylist(
-            [
-                {
-                    **dict(zip(keys, points[index].values, strict=True)),
-                    **points[index].model_dump(exclude={"values"}),
-                }
-                for index in self._tuning.order
-            ]
-        )
+        keys, rows = [each.key for each in self._tuning.ranges], []
+        for point in (self._tuning.points[index] for index in self._tuning.order):
+            rows.append(dict(zip(keys, point.values, strict=True)) | point.model_dump(exclude={"values"}))
+        return pa.Table.from_pylist(rows)
 
     @cached_property
     def best(self) -> dict[str, Any]:

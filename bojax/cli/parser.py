@@ -71,10 +71,10 @@ class Parser(argparse.ArgumentParser):
         """The name of an unknown option, and what may be meant."""
         name, equals, value = word.partition("=")
         if name in ("--gpu", "--gpus", "--cuda", "--cpu"):
-            return (
-                f"{name}; GPUs are used if JAX is installed for them (page Installation of the manual; "
-                "bojax doctor shows them); JAX_PLATFORMS=cpu in the environment uses none"
+            hint = (
+                "GPUs are used if JAX is installed for them (page Installation of the manual; bojax doctor "
             )
+            return f"{name}; {hint}shows them); JAX_PLATFORMS=cpu in the environment uses none"
         setting = name.lstrip("-")
         if "key=value" in (self.usage or "") and ("." in setting or setting in _settings()):
             return f"{name}; did you mean {setting}={value if equals else 'VALUE'}?"
