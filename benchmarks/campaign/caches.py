@@ -13,7 +13,8 @@ from typing_extensions import override
 
 from benchmarks.campaign.case import Outcome, fault_of
 from benchmarks.campaign.process import Ended, run, scratch
-from benchmarks.campaign.workloads import WORKLOADS, contents, difference, finished
+from benchmarks.campaign.spoil import spoil
+from benchmarks.campaign.workloads import ROOT, WORKLOADS, fault_in, finished
 
 _WORKLOADS = ("tabular", "planning", "learner")
 _OTHER_USER = 12345
@@ -39,7 +40,7 @@ def check(seed: int) -> Outcome:
         shutil.copytree(kept, cache)  # at its own place: JAX's keys contain the path
         tried = f"{name}: {_spoil(draw, cache)}"
         ended = _run(name, cache, place)
-        fault = fault_of(ended, (0,)) or difference(contents(place / "out"), contents(finished(name)))
+        fault = fault_of(ended, (0,)) or fault_in(place / "out", name)
         if (place / "planted").exists() or (place / "out" / "planted").exists():
             fault = "an entry has run code"
         return Outcome(tried, fault)
@@ -49,7 +50,7 @@ def check(seed: int) -> Outcome:
 def _warm(name: str) -> tuple[Path, Path]:
     """The cache of a workload, and a copy of it."""
     finished(name)
-    cache = Path(__file__).parents[2] / ".pytest_cache" / f"campaign-{os.getpid()}" / name
+    cache = ROOT / ".pytest_cache" / f"campaign-{os.getpid()}" / name
     with scratch() as place:
         ended = _run(name, cache, place)
         assert ended.code == 0, ended.err
@@ -75,43 +76,20 @@ def _spoil(draw: random.Random, cache: Path) -> str:
     for _ in range(draw.choice([1, 1, 3, 20])):
         entries = sorted(path for path in cache.rglob("*") if path.is_file() and not path.is_symlink())
         if entries:
-            path, how = draw.choice(entries), draw.choice(sorted(_ENTRIES))
-            if how == "of another name" and not _IS_OF_ENGINE.search(path.name):
-                how = "flipped"  # of JAX's small programs JAX verifies no more than this
-            _ENTRIES[how](path, draw.choice(entries), draw)
-            done.append(f"{path.name[:24]} {how}")
+            path = draw.choice(entries)
+            done.append(f"{path.name[:24]} {_spoil_entry(draw, path, draw.choice(entries))}")
     return "; ".join(done[:3])
 
 
-def _flip(path: Path, _: Path, draw: random.Random) -> None:
-    content = bytearray(path.read_bytes())
-    if content:
-        content[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
-    path.write_bytes(content)
-
-
-def _put(make: Callable[[Path], object]) -> Callable[[Path, Path, random.Random], None]:
-    def put(path: Path, _: Path, draw: random.Random) -> None:
-        del draw
-        path.unlink()
-        make(path)
-
-    return put
-
-
-_ENTRIES: dict[str, Callable[[Path, Path, random.Random], object]] = {
-    "flipped": _flip,
-    "emptied": lambda path, _, draw: path.write_bytes(b""),
-    "cut off": lambda path, _, draw: os.truncate(path, draw.randrange(path.stat().st_size + 1)),
-    "of another name": lambda path, other, draw: path.write_bytes(other.read_bytes()),
-    "of noise": lambda path, _, draw: path.write_bytes(draw.randbytes(1000)),
-    "a pickle": lambda path, _, draw: path.write_bytes(pickle.dumps(_Planted())),
-    "deleted": lambda path, _, draw: path.unlink(),
-    "a pipe": _put(lambda path: os.mkfifo(path)),
-    "a folder": _put(lambda path: path.mkdir()),
-    "a link to nothing": _put(lambda path: path.symlink_to("nothing")),
-    "an endless device": _put(lambda path: path.symlink_to("/dev/zero")),
-}
+def _spoil_entry(draw: random.Random, path: Path, other: Path) -> str:
+    how = draw.choice(["a pickle", "another entry", *["spoilt"] * 8])
+    if how == "a pickle":
+        path.write_bytes(pickle.dumps(_Planted()))
+    elif how == "another entry" and _IS_OF_ENGINE.search(path.name):
+        path.write_bytes(other.read_bytes())
+    else:  # of its small programs JAX itself does not verify the name
+        return spoil(draw, path)
+    return how
 
 
 def _of_another_user(cache: Path) -> None:
@@ -119,15 +97,17 @@ def _of_another_user(cache: Path) -> None:
         os.chown(cache, _OTHER_USER, _OTHER_USER)
 
 
+def _to_file(folder: Path) -> None:
+    shutil.rmtree(folder)
+    folder.write_text("a file")
+
+
 _FOLDERS: dict[str, Callable[[Path], object]] = {
     "deleted": lambda cache: shutil.rmtree(cache),
-    "a file": lambda cache: (shutil.rmtree(cache), cache.write_text("a file")),
+    "a file": lambda cache: _to_file(cache),
     "open to all": lambda cache: cache.chmod(0o777),
     "read only": lambda cache: cache.chmod(0o555),
     "of another user": _of_another_user,
     "without programs": lambda cache: shutil.rmtree(cache / "programs"),
-    "with programs a file": lambda cache: (
-        shutil.rmtree(cache / "programs"),
-        (cache / "programs").write_text(""),
-    ),
+    "with programs a file": lambda cache: _to_file(cache / "programs"),
 }

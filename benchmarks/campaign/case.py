@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from benchmarks.campaign.process import Ended
 
@@ -49,6 +50,8 @@ def fault_of(ended: Ended, codes: Iterable[int], *, alone: bool = False) -> str:
         return f"traceback: {raised(ended.err)}"
     if ended.code not in codes:
         return f"exit code {ended.code}: {(errors or lines or [''])[-1][:200]}"
+    if ended.code < 0 or ended.code > 128:
+        return ""  # a signal needs no error
     if ended.code == 0:
         return f"an error, and exit code 0: {errors[0][:200]}" if errors else ""
     if len(errors) != 1 or (alone and len(lines) != 1):
@@ -58,6 +61,11 @@ def fault_of(ended: Ended, codes: Iterable[int], *, alone: bool = False) -> str:
     if unprintable := re.sub(r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff]", "", errors[0]):
         return f"the message holds {unprintable!r}"
     return ""
+
+
+def is_whole(page: Path) -> bool:
+    """Whether a page of HTML is there from its beginning to its end."""
+    return page.is_file() and page.read_text().rstrip().endswith("</html>")
 
 
 def raised(text: str) -> str:

@@ -7,35 +7,16 @@ import subprocess
 import yaml
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.process import cli, run, scratch
 from benchmarks.campaign.snippets import odd, shown
 from benchmarks.campaign.workloads import WORKLOADS
 
 _KEYS = {
-    "slurm": (
-        "tasks",
-        "partition",
-        "account",
-        "time",
-        "gpus_per_task",
-        "cpus_per_task",
-        "memory",
-        "options",
-        "setup",
-    ),
-    "ray": ("address", "workers", "cpus_per_worker"),
+    "slurm": "tasks partition account time gpus_per_task cpus_per_task memory options setup".split(),
+    "ray": ["address", "workers", "cpus_per_worker"],
 }
-_TEXTS = (
-    "a b",
-    "x\n#SBATCH --exclusive",
-    "x\ny",
-    "x\ry",
-    "\x1b[31m",
-    "$(touch planted)",
-    "`touch planted`",
-    "'; touch planted",
-    "",
-)
+_TEXTS = ("a b", "x\n#SBATCH --exclusive", "x\ny", "x\ry", "\x1b[31m", "")
+_TEXTS += ("$(touch planted)", "`touch planted`", "'; touch planted")
 
 _SBATCH = '#!/bin/sh\ncat > "$SUBMITTED/script"\necho 1\n'
 
@@ -50,9 +31,8 @@ def check(seed: int) -> Outcome:
             text, _ = odd(draw)
         else:
             value = draw.choice(_TEXTS)
-            text = yaml.safe_dump(
-                [value] if key in ("options", "setup") else value, default_flow_style=True
-            ).strip()
+            value = [value] if key in ("options", "setup") else value
+            text = yaml.safe_dump(value, default_flow_style=True).strip()
         if launcher == "ray" and key != "address":
             key = f"address: 127.0.0.1:1\n{key}"  # where nothing answers: no cluster is started
         (place / "cluster.yaml").write_text(f"{key}: {text}\n")
@@ -63,14 +43,12 @@ def check(seed: int) -> Outcome:
 
         def start() -> int:
             os.environ.update(PATH=f"{place}:{os.environ['PATH']}", SUBMITTED=str(place))
-            from bojax.cli.main import main
-
             words = [*WORKLOADS["shared"].words, "--launcher", launcher, "--cluster", "cluster.yaml"]
-            return main([*words, "--out", name])
+            return cli(*words, "--out", name)
 
         ended = run(start, place)
         tried = f"{launcher}, {key}: {shown(text)}, --out {name!r}"
-        fault = fault_of(ended, (0, 2)) if launcher == "slurm" else fault_of(ended, (1, 2))
+        fault = fault_of(ended, (0, 2) if launcher == "slurm" else (1, 2))
         script = place / "script"
         if not fault and ended.code and (script.exists() or any(place.rglob("*.parquet"))):
             fault = "refused, and submitted or written"
@@ -83,7 +61,7 @@ def _misread(script: str, place) -> str:
     """Why Slurm or the shell would not read the script as it was meant; empty if they would."""
     lines = script.splitlines()
     options = [number for number, line in enumerate(lines) if line.startswith("#SBATCH ")]
-    if "--exclusive" in script and any("--exclusive" in lines[number] for number in options):
+    if any("--exclusive" in lines[number] for number in options):
         return "an option that was not given"
     if options != list(range(options[0], options[0] + len(options))):
         return "options are not together"

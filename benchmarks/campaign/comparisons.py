@@ -2,36 +2,18 @@
 
 import math
 import random
+import re
 from pathlib import Path
 
-from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.case import Outcome, fault_of, is_whole
+from benchmarks.campaign.process import cli, run, scratch
 
 _NAMES = (
-    *(
-        "_baseline",
-        "$x_1$",
-        "$\\unknown$",
-        "a\nb",
-        "",
-        " ",
-        "n" * 300,
-        "שלום",
-        "a\u202eb",
-        "sac",
-        "sac ",
-        "<b>sac</b>",
-    ),
-    *("ppo", "0", "-", "=1+1", "漢字", "%s", "\\", "{}", "a,b", 'a"b'),
+    *("_baseline", "$x_1$", "$\\unknown$", "a\nb", "", " ", "n" * 300, "שלום", "a\u202eb", "sac", "sac "),
+    *("<b>sac</b>", "ppo", "0", "-", "=1+1", "漢字", "%s", "\\", "{}", "a,b", 'a"b'),
 )
-_HEADERS = ("label,run,x,value",) * 8 + (
-    "label,x,value",
-    "run,x,value",
-    "x,value",
-    "Label,Run,X,Value",
-    "",
-    "a;b;c",
-)
+_HEADERS = ("label,run,x,value",) * 8
+_HEADERS += ("label,x,value", "run,x,value", "x,value", "Label,Run,X,Value", "", "a;b;c")
 
 
 def check(seed: int) -> Outcome:
@@ -40,20 +22,12 @@ def check(seed: int) -> Outcome:
     with scratch() as place:
         options, are_equal = _write(draw, place / "curves.csv")
         words = ["compare", "--csv", "curves.csv", "--out", "out", *options]
-
-        def start() -> int:
-            from bojax.cli.main import main
-
-            return main(words)
-
-        ended = run(start, place)
+        ended = run(lambda: cli(*words), place)
         tried = f"{' '.join(options)} on {(place / 'curves.csv').read_bytes()[:90]!r}"
         fault = fault_of(ended, (0, 2))
         page = place / "out" / "comparison.html"
-        if not fault and ended.code == 0:
-            fault = (
-                "" if page.is_file() and page.read_text().rstrip().endswith("</html>") else "no whole page"
-            )
+        if not fault and ended.code == 0 and not is_whole(page):
+            fault = "no whole page"
         if not fault and ended.code and (place / "out").exists():
             fault = "refused, and a folder is written"
         if not fault and are_equal:
@@ -79,11 +53,8 @@ def _write(draw: random.Random, path: Path) -> tuple[list[str], bool]:
         for run_ in range(draw.randint(1, 6)):
             x = 0.0
             for _ in range(draw.choice([0, 1, 1, 2, draw.randint(3, 30)])):
-                x += (
-                    draw.choice([1, 10, 0.5, 0, -3, 1e6, 1e300])
-                    if draw.random() < 0.1
-                    else draw.randint(1, 50)
-                )
+                jumps = draw.random() < 0.1
+                x += draw.choice([1, 10, 0.5, 0, -3, 1e6, 1e300]) if jumps else draw.randint(1, 50)
                 rows.append(f"{quoted},{run_},{x:g},{_value(draw)}")
     if draw.random() < 0.1:
         rows = [f"# {row}" for row in rows]
@@ -102,8 +73,6 @@ def _value(draw: random.Random) -> str:
 def _told_apart(code: int, page: Path, err: str) -> str:
     if code:
         return f"refused: {err[-200:]}"
-    import re
-
     text = re.sub(r"<[^>]*>", " ", page.read_text())
     shares = [float(share) for share in re.findall(r"\b(\d+(?:\.\d+)?)\s?%", text)]
     if not math.isclose(min((abs(share - 50.0) for share in shares), default=0.0), 0.0, abs_tol=1e-9):

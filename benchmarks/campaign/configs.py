@@ -2,10 +2,11 @@
 
 import copy
 import functools
+import io
 import os
+import pickle
 import random
 import re
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,10 @@ import yaml
 
 from benchmarks.campaign.case import Outcome, fault_of
 from benchmarks.campaign.process import Ended, run, scratch
-from benchmarks.campaign.snippets import odd, shown
+from benchmarks.campaign.snippets import listed, odd, shown
+from benchmarks.campaign.spoil import BYTES, NO_FILES
+from benchmarks.campaign.trees import assign, at, paths
+from benchmarks.campaign.workloads import ROOT
 
 MAX_SECONDS = 10.0
 """Most processor time until an error."""
@@ -117,9 +121,9 @@ def _trace(sweep: Any) -> int:
 def _setting(draw: random.Random, place: Path) -> Given:
     """One setting of a shipped config, any that its schema has, with an odd value in the file."""
     name, tree = _experiment(draw)
-    path = draw.choice(_paths(tree))
+    path = draw.choice(paths(tree))
     snippet, is_bad = odd(draw)
-    _assign(tree, path, _HERE)
+    assign(tree, path, _HERE)
     _write(place, _dump(tree).replace(_HERE, snippet))
     dotted = ".".join(map(str, path))
     return Given(f"{name} with {dotted}: {shown(snippet)}", ("run", "case.yaml"), is_bad)
@@ -128,7 +132,7 @@ def _setting(draw: random.Random, place: Path) -> Given:
 def _override(draw: random.Random, place: Path) -> Given:
     """The same on the command line, and with a key that may be misspelt."""
     name, tree = _experiment(draw)
-    path = draw.choice([path for path in _paths(tree) if all(isinstance(part, str) for part in path)])
+    path = draw.choice([path for path in paths(tree) if all(isinstance(part, str) for part in path)])
     snippet, is_bad = odd(draw)
     snippet = snippet.replace("\0", "")
     key = ".".join(path)
@@ -157,130 +161,98 @@ def _fitting(draw: random.Random, place: Path) -> Given:
     """A planner and a problem, or a learner and an environment, that may not fit."""
     from bojax.config.component import registry
 
-    if draw.random() < 0.5:
-        pairs, base = (("problem", "planner"), "two-pits")
-    else:
-        pairs, base = (("env", "learner"), "chain")
+    pairs, base = draw.choice([(("problem", "planner"), "two-pits"), (("env", "learner"), "chain")])
     words = [f"{role}={draw.choice(sorted(registry[role]))}" for role in pairs]
-    extra = draw.choice(
-        [
-            "",
-            "learner.features.state_lengthscale=[1,2,3,4,5,6,7]",
-            "learner.features.action_lengthscale=[1,2,3,4,5,6,7]",
-            "planner.motions=kernel",
-            "planner.motions=splines",
-            "planner.motions=cubic",
-            "planner.acquisition=pi",
-            "planner.objective=uncertainty",
-            "problem.vehicle=quadrotor",
-            "problem.sensor=range",
-            "problem.walls=[[0,0,1,1]]",
-            "schedule=decay",
-            "dtype=float32",
-            "learner.features=indicators",
-            "problem.kernel={kind: rbf, lengthscale: [1,2,3]}",
-            "problem.domain=[0,0,1e-3,1e-3]",
-        ]
-    )
+    extra = draw.choice(_EXTRAS)
     words += [extra] if extra else []
     return Given(f"{base} {' '.join(words)}", ("run", base, *words), traces=True)
+
+
+_EXTRAS = (
+    "",
+    *listed("""
+    learner.features.state_lengthscale=[1,2,3,4,5,6,7]  learner.features.action_lengthscale=[1,2,3,4,5,6,7]
+    planner.motions=kernel  planner.motions=splines  planner.motions=cubic  planner.acquisition=pi
+    planner.objective=uncertainty  problem.vehicle=quadrotor  problem.sensor=range
+    problem.walls=[[0,0,1,1]]  schedule=decay  dtype=float32  learner.features=indicators
+    problem.kernel={kind: rbf, lengthscale: [1,2,3]}  problem.domain=[0,0,1e-3,1e-3]
+    """),
+)
+"""Settings that fit some planners and learners."""
 
 
 def _structure(draw: random.Random, place: Path) -> Given:
     """Keys that are unknown, misspelt, missing, twice there, or no names."""
     name, tree = _experiment(draw)
-    path = draw.choice([path for path in _paths(tree) if isinstance(path[-1], str)])
-    parent, key = _at(tree, path[:-1]), path[-1]
-    change = draw.choice(["unknown", "misspelt", "missing", "moved", "many", "twice", "odd", "list", "long"])
-    is_bad = change in ("unknown", "twice", "many", "list")
-    if change == "unknown":
-        parent["surprise"] = 1
-    elif change == "misspelt":
-        parent[_misspelt(draw, key)] = parent.pop(key)
-    elif change == "missing":
-        del parent[key]
-    elif change == "moved":
-        tree[f"{key}"] = parent.pop(key) if parent is not tree else parent[key]
-    elif change == "many":
-        parent.update({f"key{index}": index for index in range(draw.choice([100, 10_000, 100_000]))})
-    elif change == "long":
-        parent["k" * draw.choice([300, 100_000])] = 1
-    text = _dump(tree)
-    if change == "twice":
-        text += text.splitlines()[0] + "\n" if ":" in text.splitlines()[0] else "seed: 1\nseed: 2\n"
-    elif change == "odd":
-        text += draw.choice(
-            ["1: 2\n", "? [a, b]\n: 1\n", "? {a: 1}\n: 2\n", "null: 1\n", "true: 1\n", "'': 1\n"]
-        )
-        text += draw.choice(["", '"\\x1b[31m": 1\n', '"\\ud800": 1\n', "a b: 1\n", "2024-01-01: 1\n"])
-        is_bad = True
-    elif change == "list":
-        text = "".join(
-            f"- {line}\n" if not line.startswith(" ") else f"  {line}\n" for line in text.splitlines()
-        )
-    _write(place, text)
+    path = draw.choice([path for path in paths(tree) if isinstance(path[-1], str)])
+    parent, key, count = at(tree, path[:-1]), path[-1], draw.choice([300, 10_000, 100_000])
+    changes: dict[str, Callable[[], object]] = {
+        "unknown": lambda: parent.update(surprise=1),
+        "misspelt": lambda: parent.update({_misspelt(draw, key): parent.pop(key)}),
+        "missing": lambda: parent.pop(key),
+        "moved": lambda: tree.update({key: parent.pop(key)}),
+        "many": lambda: parent.update({f"key{index}": index for index in range(count)}),
+        "long": lambda: parent.update({"k" * count: 1}),
+    }
+    texts: dict[str, Callable[[str], str]] = {
+        "twice": lambda text: text + text.splitlines()[0] + "\n",
+        "odd": lambda text: text + "".join(draw.sample(_ODD_KEYS, draw.randint(1, 2))),
+        "list": lambda text: re.sub("^(?! )", "- ", re.sub("^ ", "   ", text, flags=re.M), flags=re.M),
+    }
+    change = draw.choice([*changes, *texts])
+    changes.get(change, lambda: None)()
+    _write(place, texts.get(change, str)(_dump(tree)))
+    is_bad = change in ("unknown", "many", *texts)
     return Given(f"{name}: key {change} at {'.'.join(map(str, path))}", ("run", "case.yaml"), is_bad)
+
+
+_ODD_KEYS = (
+    *("1: 2\n", "? [a, b]\n: 1\n", "? {a: 1}\n: 2\n", "null: 1\n", "true: 1\n", "'': 1\n"),
+    *('"\\x1b[31m": 1\n', '"\\ud800": 1\n', "a b: 1\n", "2024-01-01: 1\n"),
+)
+"""Lines with a key that is no name of a setting."""
 
 
 def _sweep(draw: random.Random, place: Path) -> Given:
     """A shipped sweep with an odd value in its axes, claims, report or base."""
     name = draw.choice(_names("sweeps"))
-    tree = copy.deepcopy(_tree("sweeps", name))
+    tree = copy.deepcopy(_tree(name))
     if "base" not in tree:
-        tree = copy.deepcopy(_tree("sweeps", "fig-4.6"))
+        tree = copy.deepcopy(_tree("fig-4.6"))
     snippet, is_bad = odd(draw)
-    change = draw.choice(["setting", "setting", "setting", "axis", "axes", "large", "names", "combine"])
+    counts = draw.choice([[10**6], [10**4, 10**4], [1000] * 4, [10] * 12, [300]])
+    axes = {
+        "axis": {draw.choice(_AXES): draw.choice([_HERE, [_HERE], [1, _HERE], {"a": {"b": _HERE}}])},
+        "axes": _HERE,
+        "large": {axis: list(range(1, count + 1)) for axis, count in zip(_LARGE_AXES, counts, strict=False)},
+        "variants": {"planner": {draw.choice(_VARIANTS): {}, "b": {}}},
+    }
+    change = draw.choice(["setting", "setting", "setting", "combine", *axes])
+    tried = f"{change} of {counts} values" if change == "large" else f"{change}: {shown(snippet)}"
     if change == "setting":
-        path = draw.choice(_paths(tree))
-        _assign(tree, path, _HERE)
-        is_bad = False  # titles, notes and numbers of the thesis are free
-        tried = f"{'.'.join(map(str, path))}: {shown(snippet)}"
-    elif change == "axis":
-        axis = draw.choice(["planner.iterations", "problem", "runs", "", "a..b", "planner", "seed", "env.x"])
-        tree["axes"] = {axis: draw.choice([_HERE, [_HERE], [1, _HERE], {"a": _HERE}, {"a": {"b": _HERE}}])}
-        is_bad = False
-        tried = f"axes {tree['axes']} with {shown(snippet)}".replace(_HERE, "@")
-    elif change == "axes":
-        tree["axes"], is_bad = _HERE, False
-        tried = f"axes: {shown(snippet)}"
-    elif change == "large":
-        counts = draw.choice([[10**6], [10**4, 10**4], [1000] * 4, [10] * 12, [300]])
-        tree = {
-            "base": "parking",
-            "axes": {f"planner.{n}": list(range(1, c + 1)) for n, c in _numbers(counts)},
-        }
-        is_bad = False
-        tried = f"axes of {counts} values"
-    elif change == "names":
-        odd_names = [
-            "a/b",
-            "",
-            " ",
-            "\x1b[31m",
-            "n" * 300,
-            "é",
-            "..",
-            "$\\unknowncmd$",
-            "a\nb",
-            1,
-            None,
-            True,
-        ]
-        tree["axes"] = {"planner": {draw.choice(odd_names): {}, "b": {}}}
-        is_bad = False
-        tried = f"a variant of the name {list(tree['axes']['planner'])[0]!r}"[:80]
-    else:
+        path = draw.choice(paths(tree))
+        assign(tree, path, _HERE)
+        tried += f" at {'.'.join(map(str, path))}"
+        if draw.random() < 0.2:
+            tree["base"] = draw.choice(["no-such", "case.yaml", "", 3, [], {"kind": 1}, None])
+            tried += f", base: {tree['base']}"
+    elif change == "combine":
         tree["combine"] = _HERE
-        tried = f"combine: {shown(snippet)}"
-    base = draw.choice(
-        [tree.get("base"), tree.get("base"), "no-such", "case.yaml", "", 3, [], {"kind": 1}, None]
-    )
-    if change == "setting" and draw.random() < 0.2:
-        tree["base"] = base
-        tried += f", base: {str(base)[:40]}"
-    text = _dump(tree).replace(_HERE, snippet)
-    _write(place, text)
-    return Given(f"sweep {name}: {tried}", ("sweep", "case.yaml"), is_bad)
+    else:
+        tree = {"base": "parking"} if change == "large" else tree
+        tree["axes"] = axes[change]
+        tried += "" if change == "large" else f" in {shown(str(axes[change]))}"
+    _write(place, _dump(tree).replace(_HERE, snippet))
+    # Titles, notes and numbers of the thesis are free.
+    return Given(f"sweep {name}: {tried}", ("sweep", "case.yaml"), is_bad and change == "combine")
+
+
+_AXES = ("planner.iterations", "problem", "runs", "", "a..b", "planner", "seed", "env.x")
+_LARGE_AXES = (
+    *("planner.iterations", "planner.depth", "planner.exploration", "planner.discount"),
+    *("planner.motions.actions", "planner.motions.length", *(f"planner.x{index}" for index in range(6))),
+)
+_VARIANTS = ("a/b", "", " ", "\x1b[31m", "n" * 300, "é", "..", "$\\unknowncmd$", "a\nb", 1, None, True)
 
 
 def _alias(draw: random.Random, place: Path) -> Given:
@@ -288,147 +260,108 @@ def _alias(draw: random.Random, place: Path) -> Given:
     value = draw.choice(["case", "case.yaml", "no-such", "3", "[a]", "{a: 1}", "''", "..", "/", "parking"])
     more = draw.choice(["", "runs: 3\n"])
     _write(place, f"alias: {value}\n{more}")
-    return Given(
-        f"alias: {value} {more.strip()}", (draw.choice(["sweep", "run"]), "case.yaml"), value != "parking"
-    )
+    words = draw.choice(["sweep", "run"]), "case.yaml"
+    return Given(f"alias: {value} {more.strip()}", words, value != "parking")
 
 
 def _bytes(draw: random.Random, place: Path) -> Given:
     """The text of a shipped file, damaged."""
     folder = draw.choice(["configs", "sweeps"])
     name = draw.choice(_names(folder))
-    content = bytearray(_path(folder, name).read_bytes())
-    middle = draw.randrange(len(content))
-    change = draw.choice(
-        [
-            "cut",
-            "flip",
-            "zero",
-            "utf-16",
-            "utf-16 bare",
-            "latin-1",
-            "bom",
-            "garbage",
-            "tab",
-            "crlf",
-            "control",
-        ]
-        + ["twice", "documents", "empty", "spaces", "comment", "huge", "delete", "indent", "quote"]
-    )
-    if change == "cut":
-        content = content[:middle]
-    elif change == "flip":
-        content[middle] ^= 1 << draw.randrange(8)
-    elif change == "zero":
-        content[middle] = 0
-    elif change == "utf-16":
-        content = bytearray(content.decode().encode("utf-16"))
-    elif change == "utf-16 bare":
-        content = bytearray(content.decode().encode("utf-16-le"))
-    elif change == "latin-1":
-        content[middle:middle] = b"\xe9\xff"
-    elif change == "bom":
-        content[middle:middle] = b"\xef\xbb\xbf"
-    elif change == "garbage":
-        content = bytearray(draw.randbytes(draw.choice([10, 1000, 100_000])))
-    elif change == "tab":
-        content = content.replace(b"  ", b"\t")
-    elif change == "crlf":
-        content = content.replace(b"\n", b"\r\n")
-    elif change == "control":
-        content[middle:middle] = draw.choice([b"\x1b[31m", b"\x07", b"\x7f", b"\x85", b"\xe2\x80\xa8"])
-    elif change == "twice":
-        content = content + content
-    elif change == "documents":
-        content += b"\n---\n" + content
-    elif change in ("empty", "spaces", "comment"):
-        content = bytearray({"empty": b"", "spaces": b"  \n \n", "comment": b"# nothing\n"}[change])
-    elif change == "huge":
-        content += b"# " + b"x" * 10_000_000
-    elif change == "delete":
-        del content[middle : middle + draw.randint(1, 20)]
-    elif change == "indent":
-        lines: list[bytes] = list(bytes(content).split(b"\n"))
-        index = draw.randrange(len(lines))
-        lines[index] = b" " * draw.randint(1, 5) + lines[index]
-        content = bytearray(b"\n".join(lines))
+    changes = BYTES | _TEXTS
+    change = draw.choice([*changes, *_INSERTED])
+    if change in changes:
+        content = changes[change](draw, _path(folder, name).read_bytes())
     else:
-        content[middle:middle] = draw.choice(
-            [b"'", b'"', b"{", b"[", b"&a ", b"*a ", b"!!int ", b"<<: ", b"%"]
-        )
+        content = _path(folder, name).read_bytes()
+        middle = draw.randrange(len(content))
+        content = content[:middle] + draw.choice(_INSERTED[change]) + content[middle:]
     (place / "case.yaml").write_bytes(content)
-    bad = ("utf-16", "utf-16 bare", "latin-1", "garbage", "twice", "documents", "empty", "spaces", "comment")
-    command = "run" if folder == "configs" else "sweep"
-    return Given(f"{name}: {change} at byte {middle}", (command, "case.yaml"), change in bad)
+    is_bad = change in ("utf-16", "utf-16 bare", "latin-1", "twice", "documents", "emptied", "blank")
+    is_bad = is_bad or change.endswith("noise")
+    return Given(f"{name}: {change}", ("run" if folder == "configs" else "sweep", "case.yaml"), is_bad)
+
+
+def _indented(draw: random.Random, content: bytes) -> bytes:
+    lines = content.split(b"\n")
+    index = draw.randrange(len(lines))
+    lines[index] = b" " * draw.randint(1, 5) + lines[index]
+    return b"\n".join(lines)
+
+
+_TEXTS: dict[str, Callable[[random.Random, bytes], bytes]] = {
+    "utf-16": lambda draw, content: content.decode().encode("utf-16"),
+    "utf-16 bare": lambda draw, content: content.decode().encode("utf-16-le"),
+    "tabs": lambda draw, content: content.replace(b"  ", b"\t"),
+    "crlf": lambda draw, content: content.replace(b"\n", b"\r\n"),
+    "twice": lambda draw, content: content + content,
+    "documents": lambda draw, content: content + b"\n---\n" + content,
+    "blank": lambda draw, content: draw.choice([b"  \n \n", b"# nothing\n"]),
+    "long noise": lambda draw, content: draw.randbytes(100_000),
+    "huge": lambda draw, content: content + b"# " + b"x" * 10_000_000,
+    "shortened": lambda draw, content: content.replace(draw.choice(content.split()), b"", 1),
+    "indented": _indented,
+}
+_INSERTED = {
+    "latin-1": (b"\xe9\xff",),
+    "bom": (b"\xef\xbb\xbf",),
+    "null": (b"\0",),
+    "control": (b"\x1b[31m", b"\x07", b"\x7f", b"\x85", b"\xe2\x80\xa8"),
+    "syntax": (b"'", b'"', b"{", b"[", b"&a ", b"*a ", b"!!int ", b"<<: ", b"%"),
+}
 
 
 def _bomb(draw: random.Random, place: Path) -> Given:
     """A short text that stands for a large value."""
     levels, width = draw.choice([(3, 9), (6, 9), (9, 9), (10, 10), (30, 2), (100, 2)])
-    style = draw.choice(["aliases", "merges", "merged lists", "mappings", "deep", "deep mappings", "keys"])
-    lines = []
+    style = draw.choice([*_BOMBS, "deep", "deep mappings", "keys"])
     if style == "deep":
         lines = ["title: " + "[" * 10 ** draw.randint(2, 5)]
     elif style == "deep mappings":
-        depth = 10 ** draw.randint(2, 4)
-        lines = [f"{' ' * level}a:" for level in range(depth)]
+        lines = [f"{' ' * level}a:" for level in range(10 ** draw.randint(2, 4))]
     elif style == "keys":
-        lines = [f"k{index}: &k{index} [*k{index - 1}, 1]" if index else "k0: &k0 1" for index in range(2000)]
+        lines = ["k0: &k0 1", *(f"k{index}: &k{index} [*k{index - 1}, 1]" for index in range(1, 2000))]
     else:
-        for level in range(levels):
-            below = ", ".join([f"*a{level - 1}"] * width) if level else "1"
-            if style == "aliases":
-                lines.append(f"k{level}: &a{level} [{below}]")
-            elif style == "mappings":
-                entries = ", ".join(f"b{i}: *a{level - 1}" for i in range(width)) if level else "b: 1"
-                lines.append(f"k{level}: &a{level} {{{entries}}}")
-            elif style == "merges":
-                lines.append(
-                    f"k{level}: &a{level} {{" + (f"<<: [{below}], c{level}: 1}}" if level else "c: 1}")
-                )
-            else:
-                lines.append(f"k{level}: &a{level} [{below}]" if level else f"k{level}: &a{level} [{{c: 1}}]")
+        first, entry, form = _BOMBS[style]
+        lines = [f"k0: &a0 {first}"]
+        for level in range(1, levels):
+            below = ", ".join(entry.format(f"*a{level - 1}", index) for index in range(width))
+            lines.append(f"k{level}: &a{level} " + form.format(below))
         if style == "merged lists":
             lines.append(f"z: {{<<: *a{levels - 1}}}")
     _write(place, "\n".join(lines) + "\n")
     return Given(f"{style}, {levels} levels of {width}", (draw.choice(["run", "sweep"]), "case.yaml"), True)
 
 
+_BOMBS = {
+    "aliases": ("[1]", "{0}", "[{}]"),
+    "merges": ("{c: 1}", "{0}", "{{<<: [{}], c: 1}}"),
+    "merged lists": ("[{c: 1}]", "{0}", "[{}]"),
+    "mappings": ("{b: 1}", "b{1}: {0}", "{{{}}}"),
+}
+"""The first level of a bomb, and an entry and the form of the next ones."""
+
+
 def _no_file(draw: random.Random, place: Path) -> Given:
     """Something that is no regular file, or a name of no file."""
     path = place / "case.yaml"
-    kind = draw.choice(
-        ["fifo", "folder", "socket", "device", "loop", "broken", "missing", "long", "zero", "dots"]
-    )
-    word = "case.yaml"
-    if kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "socket":
-        here = os.getcwd()
-        os.chdir(place)
-        with socket.socket(socket.AF_UNIX) as server:
-            server.bind("case.yaml")
-        os.chdir(here)
-    elif kind in ("device", "zero"):
-        path.symlink_to("/dev/null" if kind == "device" else "/dev/zero")
-    elif kind == "loop":
-        path.symlink_to("case.yaml")
-    elif kind == "broken":
-        path.symlink_to("nowhere.yaml")
-    elif kind == "long":
-        word = draw.choice(["n" * 300, "n" * 300 + ".yaml", "d/" * 3000 + "x.yaml", "n" * 100_000])
-    elif kind == "dots":
-        word = draw.choice(
-            ["..", ".", "/", "", " ", "~", "-", "--", "\x1b[31m", "\ud800", "a\nb", "パーキング"]
-        )
-    command = draw.choice(["run", "sweep"])
-    if draw.random() < 0.3 and kind not in ("long", "dots"):
+    if draw.random() < 0.3:
+        word = draw.choice(_NO_NAMES)
+        return Given(f"file {shown(word)}", (draw.choice(["run", "sweep"]), word), word != "-")
+    kind = draw.choice(list(NO_FILES))
+    NO_FILES[kind](path)
+    if draw.random() < 0.3:
         (place / "configs").mkdir()
-        path.rename(place / "configs" / "parking.yaml") if os.path.lexists(path) else None
-        return Given(f"{kind} in configs/", ("list",) if draw.random() < 0.5 else ("run", "parking"))
-    return Given(f"{command} of {kind} {word[:30]!r}", (command, word), word != "-" or kind != "dots")
+        if os.path.lexists(path):
+            path.rename(place / "configs" / "parking.yaml")
+        return Given(f"{kind} in configs/", draw.choice([("list",), ("run", "parking")]))
+    return Given(f"{kind} as a file", (draw.choice(["run", "sweep"]), "case.yaml"), True)
+
+
+_NO_NAMES = (
+    *("..", ".", "/", "", " ", "~", "-", "--", "\x1b[31m", "\ud800", "a\nb", "パーキング"),
+    *("n" * 300, "n" * 300 + ".yaml", "d/" * 3000 + "x.yaml", "n" * 100_000),
+)
 
 
 def _data(draw: random.Random, place: Path) -> Given:
@@ -437,249 +370,165 @@ def _data(draw: random.Random, place: Path) -> Given:
     name, tried, is_bad = draw.choice([_npy, _npy, _csv, _csv, _no_data])(draw, place)
     extent = draw.choice(["[0, 0, 6, 6]"] * 5 + ["[0, 0, 0, 0]", "[6, 6, 0, 0]", "[0, 0]", "[.nan, 0, 1, 1]"])
     is_bad = is_bad or extent != "[0, 0, 6, 6]"
-    field = f"{{kind: {kind}, file: {name}, extent: {extent}}}"
-    _write(place, f"base_title: 1\nproblem: {{kind: monitoring, field: {field}}}\n".partition("\n")[2])
+    _write(place, f"problem: {{kind: monitoring, field: {{kind: {kind}, file: {name}, extent: {extent}}}}}\n")
     return Given(f"{kind} field {name}: {tried}, extent {extent}", ("run", "case.yaml"), is_bad)
 
 
-def _npy(draw: random.Random, place: Path) -> tuple[str, str, bool]:
-    path = place / "data.npy"
-    good = np.arange(12.0).reshape(4, 3)
-    arrays: dict[str, Any] = {
-        "complex": good + 1j,
-        "objects": np.array([[1, "a"], [None, 2.0]], object),
-        "text": good.astype(str),
-        "bytes": good.astype("S4"),
-        "dates": good.astype("datetime64[s]"),
-        "durations": good.astype("timedelta64[s]"),
-        "records": np.zeros((4, 3), [("a", "f8")]),
-        "void": np.zeros((4, 3), "V8"),
-        "empty": np.zeros((0, 3)),
-        "no columns": np.zeros((4, 0)),
-        "a number": np.float64(1),
-        "one axis": np.zeros(3),
-        "three axes": np.zeros((2, 3, 4)),
-        "NaN": good * np.nan,
-        "infinite": good + np.inf,
-        "wide": np.zeros((4, 3), np.longdouble) + np.finfo(np.longdouble).max,
-    }
-    fine: dict[str, Any] = {
-        "huge": good * 1e307,
-        "integers": good.astype(np.int8),
-        "flags": good > 3,
-        "big-endian": good.astype(">f8"),
-        "columns first": np.asfortranarray(good),
-        "half": good.astype(np.float16),
-        "large integers": good.astype(np.uint64) + np.uint64(2**63),
-    }
-    change = draw.choice(
-        [*arrays, *fine, "npz", "pickle", "shape", "header", "cut", "version", "garbage", "text file"]
-    )
-    if change in arrays or change in fine:
-        np.save(path, (arrays | fine)[change], allow_pickle=True)
-        return path.name, change, change in arrays
-    if change == "npz":
-        with path.open("wb") as file:
-            np.savez(file, a=good)
-    elif change == "pickle":
-        import pickle
+_GOOD = np.arange(12.0).reshape(4, 3)
+_NO_FIELDS: dict[str, Any] = {
+    "complex": _GOOD + 1j,
+    "objects": np.array([[1, "a"], [None, 2.0]], object),
+    **{f"of {kind}": _GOOD.astype(kind) for kind in ("U", "S4", "datetime64[s]", "timedelta64[s]")},
+    "records": np.zeros((4, 3), [("a", "f8")]),
+    "void": np.zeros((4, 3), "V8"),
+    **{f"of shape {shape}": np.zeros(shape) for shape in ((0, 3), (4, 0), (), (3,), (2, 3, 4))},
+    "NaN": _GOOD * np.nan,
+    "infinite": _GOOD + np.inf,
+    "wide": np.zeros((4, 3), np.longdouble) + np.finfo(np.longdouble).max,
+}
+_FIELDS: dict[str, Any] = {
+    "huge": _GOOD * 1e307,
+    "flags": _GOOD > 3,
+    "columns first": np.asfortranarray(_GOOD),
+    **{f"of {kind}": _GOOD.astype(kind) for kind in ("i1", ">f8", "f2")},
+    "large integers": _GOOD.astype(np.uint64) + np.uint64(2**63),
+}
+_SHAPES = (
+    *("(10000000000, 10000000000)", "(100000000000, 1000000000)", "(-1, 3)", "(4.5, 3)"),
+    *("(" * 200, "{}", "__import__('os')", "None"),
+)
+"""Shapes in the header of a file of an array."""
 
-        path.write_bytes(pickle.dumps(good))
-    elif change in ("shape", "header"):
-        shape = draw.choice(
-            ["(10**10, 10**10)", "(100000000000, 1000000000)", "(-1, 3)", "(4.5, 3)", "(4, 3, )"]
-        )
-        shape = shape if change == "shape" else draw.choice(["(" * 200, "{}", "__import__('os')", "None"])
-        shape = shape.replace("10**10", "10000000000")
+
+def _npy(draw: random.Random, place: Path) -> tuple[str, str, bool]:
+    arrays = _NO_FIELDS | _FIELDS
+    change = draw.choice([*arrays, "npz", "pickle", "shape", "cut", "version", "noise", "text", "comma"])
+    file = io.BytesIO()
+    np.savez(file, a=_GOOD) if change == "npz" else np.save(file, arrays.get(change, _GOOD))
+    content = file.getvalue()
+    if change in ("shape", "comma"):
+        shape = draw.choice(_SHAPES) if change == "shape" else "(4, 3, )"
         header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
         header += b" " * (-(len(header) + 11) % 64) + b"\n"
-        path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + good.tobytes())
-        if shape == "(4, 3, )":
-            return path.name, "a header with a comma", False
-    else:
-        np.save(path, good)
-        content = bytearray(path.read_bytes())
-        content = {
-            "cut": content[: draw.randrange(len(content))],
-            "version": content[:6] + bytes([draw.randint(4, 255), 0]) + content[8:],
-            "garbage": bytearray(draw.randbytes(200)),
-            "text file": bytearray(b"1,2,3\n4,5,6\n"),
-        }[change]
-        path.write_bytes(content)
-    return path.name, change, True
+        content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + _GOOD.tobytes()
+    changed = {
+        "pickle": pickle.dumps(_GOOD),
+        "cut": content[: draw.randrange(len(content))],
+        "version": content[:6] + bytes([draw.randint(4, 255), 0]) + content[8:],
+        "noise": draw.randbytes(200),
+        "text": b"1,2,3\n4,5,6\n",
+    }
+    (place / "data.npy").write_bytes(changed.get(change, content))
+    return "data.npy", change, change not in (*_FIELDS, "comma")
+
+
+_ROWS = "".join(f"{index},{index + 1},{index * index}\n" for index in range(5))
+_NO_TABLES = {
+    "ragged": _ROWS + "1,2\n",
+    "text": _ROWS + "a,b,c\n",
+    "empty": "",
+    "names alone": "x,y,value\n",
+    "two lines of names": "x,y,value\nm,m,m\n" + _ROWS,
+    "holes": _ROWS + "1,,3\n",
+    "NaN": _ROWS + "nan,1,2\n",
+    "infinite": _ROWS + "1,inf,2\n",
+    "too large": _ROWS + "1,1e999,2\n",
+    "semicolons": _ROWS.replace(",", ";"),
+    "complex": _ROWS + "1,2,1+2j\n",
+    "one column": "1\n2\n3\n",
+    "html": "<html><body>404</body></html>\n",
+    "quoted": _ROWS + '"1","2","3"\n',
+    "zero bytes": _ROWS + "\0,1,2\n",
+    "long line": "1," * 10**6 + "1\n2\n",
+    "many digits": _ROWS + f"{'9' * 5000},1,2\n",
+    "utf-16": _ROWS.encode("utf-16"),
+}
+_TABLES = {
+    **{"comments": "# a\n" + _ROWS, "crlf": _ROWS.replace("\n", "\r\n"), "good": _ROWS, "end": _ROWS.strip()},
+    **{"bom": _ROWS.encode("utf-8-sig"), "latin-1": b"x,y,h\xf6he\n" + _ROWS.encode()},
+}
 
 
 def _csv(draw: random.Random, place: Path) -> tuple[str, str, bool]:
-    path = place / "data.csv"
-    rows = "".join(f"{i},{i + 1},{i * i}\n" for i in range(5))
-    bad = {
-        "ragged": rows + "1,2\n",
-        "text": rows + "a,b,c\n",
-        "empty": "",
-        "names alone": "x,y,value\n",
-        "two lines of names": "x,y,value\nm,m,m\n" + rows,
-        "holes": rows + "1,,3\n",
-        "NaN": rows + "nan,1,2\n",
-        "infinite": rows + "1,inf,2\n",
-        "too large": rows + "1,1e999,2\n",
-        "semicolons": rows.replace(",", ";"),
-        "complex": rows + "1,2,1+2j\n",
-        "one column": "1\n2\n3\n",
-        "html": "<html><body>404</body></html>\n",
-        "quoted": rows + '"1","2","3"\n',
-        "zero bytes": rows + "\0,1,2\n",
-        "long line": "1," * 10**6 + "1\n2\n",
-        "many digits": rows + f"{'9' * 5000},1,2\n",
-    }
-    fine = {"comments": "# a\n" + rows, "crlf": rows.replace("\n", "\r\n"), "good": rows, "end": rows.strip()}
-    change = draw.choice([*bad, *fine, "utf-16", "bom", "latin-1"])
-    if change in bad or change in fine:
-        path.write_text((bad | fine)[change])
-    else:
-        content = {"utf-16": rows.encode("utf-16"), "bom": rows.encode("utf-8-sig")}
-        path.write_bytes(content.get(change, b"x,y,h\xf6he\n" + rows.encode()))
-    return path.name, change, change in bad or change == "utf-16"
+    change = draw.choice([*_NO_TABLES, *_TABLES])
+    content = (_NO_TABLES | _TABLES)[change]
+    (place / "data.csv").write_bytes(content.encode() if isinstance(content, str) else content)
+    return "data.csv", change, change in _NO_TABLES
 
 
 def _no_data(draw: random.Random, place: Path) -> tuple[str, str, bool]:
     suffix = draw.choice(["npy", "csv"])
     path = place / f"data.{suffix}"
-    change = draw.choice(["fifo", "folder", "missing", "loop", "zero", "tty", "long", "suffix", "nothing"])
-    name = path.name
-    if change == "fifo":
-        os.mkfifo(path)
-    elif change == "folder":
-        path.mkdir()
-    elif change == "loop":
-        path.symlink_to(path.name)
-    elif change in ("zero", "tty"):
-        path.symlink_to(f"/dev/{change}")
-    elif change == "long":
-        name = "n" * draw.choice([251, 10_000]) + f".{suffix}"
-    elif change == "suffix":
-        name = draw.choice(["data", "data.txt", "data.npz", ".npy", "''", "/"])
-    elif change == "nothing":
-        path.touch()
-    return name, change, True
+    change = draw.choice([*NO_FILES, "long", "suffix", "nothing"])
+    names = {
+        "long": "n" * draw.choice([251, 10_000]) + f".{suffix}",
+        "suffix": draw.choice(["data", "data.txt", "data.npz", ".npy", "''", "/"]),
+    }
+    NO_FILES.get(change, Path.touch)(path)
+    return names.get(change, path.name), change, True
 
 
 def _arguments(draw: random.Random, place: Path) -> Given:
     """Options and words of the command line."""
-    numbers = ["0", "-1", "1", "1e3", "1.5", "", "abc", "nan", "10000000000", "1000000000", "1000000000000"]
-    numbers += ["1" + "0" * 30, "9" * 5000, "٣", "0x10", "1_000", " 1", "+1", "--1", "true", "\x1b[31m1"]
-    number = draw.choice(numbers)
-    words = draw.choice(
-        [
-            ("run", "chain", "--runs", number),
-            ("run", "chain", "--seed", number),
-            ("run", "chain", f"--runs={number}"),
-            ("sweep", "parking", "--runs", number),
-            ("run", "chain", f"runs={number}"),
-            ("run", "chain", f"episodes={number}", "--runs", "2"),
-            ("run", "chain", f"engine.lanes_per_device={number}"),
-            ("run", "chain", f"record.runs={number}"),
-            ("run", "two-pits", f"problem.resolution={number}"),
-            ("run", "parking", f"planner.iterations={number}"),
-            ("run", "parking", f"planner.depth={number}"),
-            ("run", "mountain-car", f"learner.features.num_features={number}"),
-            ("render", "results", "--run", number),
-            ("render", "results", "--at", number),
-            ("report", number),
-            *(("run", "chain", word) for word in _WORDS),
-            *(
-                (word,)
-                for word in ("", "-", "--", "no-such", "--no-such", "-h5", "\x1b[31m", "run\n", "リスト")
-            ),
-            *((command,) for command in ("run", "sweep", "report", "render")),
-            ("run", "chain", "parking"),
-            ("run", "fig-4.6"),
-            ("sweep", "chain"),
-            ("sweep", "parking", "parking"),
-            ("run", "parking", "problem=chain"),
-            ("run", "chain", "env=parking"),
-            ("run", "parking", "problem=" + "n" * 300),
-            (
-                "run",
-                "two-pits",
-                "problem.walls=" + str([[i, 0, i + 0.5, 1] for i in range(40)]).replace(" ", ""),
-            ),
-            ("run", "chain", "--resume"),
-            ("run", "chain", "--runs"),
-            ("run", "chain", "--out"),
-            ("run", "chain", "--resume=yes"),
-            ("list", "no-such"),
-            ("list", "n" * 300),
-            ("list", "\x1b[31m"),
-            ("report", "n" * 300),
-            ("report", "/dev/null"),
-            ("report", "/dev/zero"),
-            ("report", "."),
-            ("render", "n" * 300),
-            ("render", "."),
-        ]
-    )
-    return Given("bojax " + " ".join(map(shown, words)), tuple(word.replace("\0", "") for word in words))
+    number = draw.choice(_NUMBERS)
+    lines = [line.split() for line in listed(_COMMANDS)]
+    lines += [["run", "chain", word] for word in _WORDS] + [[word] for word in _NO_COMMANDS]
+    lines += [["run", "parking", "problem=" + "n" * 300], ["run", "two-pits", f"problem.walls={_WALLS}"]]
+    lines += [[command, "n" * 300] for command in ("list", "report", "render")] + [["list", "\x1b[31m"]]
+    words = [word.replace("@", number).replace("\0", "") for word in draw.choice(lines)]
+    return Given("bojax " + " ".join(map(shown, words)), tuple(words))
 
+
+_NUMBERS = (
+    *("0", "-1", "1", "1e3", "1.5", "", "abc", "nan", "10000000000", "1000000000", "1000000000000"),
+    *("1" + "0" * 30, "9" * 5000, "٣", "0x10", "1_000", " 1", "+1", "--1", "true", "\x1b[31m1"),
+)
+_WALLS = str([[index, 0, index + 0.5, 1] for index in range(40)]).replace(" ", "")
+_NO_COMMANDS = ("", "-", "--", "no-such", "--no-such", "-h5", "\x1b[31m", "run\n", "リスト")
+_COMMANDS = """
+    run chain --runs @  run chain --seed @  run chain --runs=@  sweep parking --runs @  run chain runs=@
+    run chain episodes=@ --runs 2  run chain engine.lanes_per_device=@  run chain record.runs=@
+    run two-pits problem.resolution=@  run parking planner.iterations=@  run parking planner.depth=@
+    run mountain-car learner.features.num_features=@  render results --run @  render results --at @
+    report @  run  sweep  report  render  run chain parking  run fig-4.6  sweep chain  sweep parking parking
+    run parking problem=chain  run chain env=parking  run chain --resume  run chain --runs  run chain --out
+    run chain --resume=yes  list no-such  report /dev/null  report /dev/zero  report .  render .
+"""
+"""Command lines, with @ for a number."""
 
 _WORDS = (
-    *("=", "=1", "a=", "episodes=", ".=1", "a..b=1", "episodes.x=1", "env.kind.x=1", "episodes==3", "kind=1"),
-    *("experiment=planning", "experiment=no-such", "experiment=", "env={kind: chain", "env={kind: chain}"),
-    *("episodes 50", "episodes: 50", "env.no=1", "env.kind=taxi", "base=1", "axes=1", "alias=x", "claims=[]"),
-    *("episodes=1e12", "episodes=1e3", "env=" + "x" * 5000, "x" * 5000 + "=1", "a." * 5000 + "b=1"),
-    *("env=\x1b[31m", "\x1b[31m=1", "\ud800=1", "title=\ud800", "title='\\ud800'", "title=$\\unknowncmd$"),
-    *("env.length=[1,2]", "env={kind: chain, length: }", "learner=&a [*a]", "learner=!!bool maybe", "<<=1"),
-    *("title=\n", "title=" + "t" * 10_000, "episodes=3\nseed=4", "engine=1", "engine.device=tpu", "seed=-1"),
-    *(
-        "engine.segment_seconds=1e400",
-        "engine.segment_seconds=0",
-        "record=[]",
-        "stop=",
-        "schedule={}",
-        "--x=1",
-    ),
+    *listed(r"""
+    =  =1  a=  episodes=  .=1  a..b=1  episodes.x=1  env.kind.x=1  episodes==3  kind=1  experiment=planning
+    experiment=no-such  experiment=  env={kind: chain  env={kind: chain}  episodes 50  episodes: 50  env.no=1
+    env.kind=taxi  base=1  axes=1  alias=x  claims=[]  episodes=1e12  episodes=1e3  title='\ud800'
+    title=$\unknowncmd$  env.length=[1,2]  env={kind: chain, length: }  learner=&a [*a]  learner=!!bool maybe
+    <<=1  engine=1  engine.device=tpu  seed=-1  engine.segment_seconds=1e400  engine.segment_seconds=0
+    record=[]  stop=  schedule={}  --x=1
+    """),
+    *("env=" + "x" * 5000, "x" * 5000 + "=1", "a." * 5000 + "b=1", "env=\x1b[31m", "\x1b[31m=1"),
+    *("\ud800=1", "title=\ud800", "title=\n", "title=" + "t" * 10_000, "episodes=3\nseed=4"),
 )
 """Overrides of the chain that are odd as words."""
 
 
 def _places(draw: random.Random, place: Path) -> Given:
     """Results in an odd place; these run, since the place is only then made."""
-    out = draw.choice(
-        [
-            "/dev/null",
-            "/dev/null/x",
-            "/proc/x",
-            "/proc/self/x/y",
-            "/sys/x",
-            "file",
-            "file/x",
-            "full",
-            "loop/x",
-        ]
-        + [
-            "n" * 300,
-            "n" * 300 + "/x",
-            "d/" * 3000,
-            "link",
-            "broken",
-            "fifo",
-            "",
-            ".",
-            " ",
-            "é\u202e",
-            "-x",
-            "new/a/b",
-        ]
-    )
+    out = draw.choice(_OUTS)
     (place / "file").write_text("x")
     (place / "full").mkdir()
     (place / "full" / "mine").write_text("x")
-    (place / "loop").symlink_to("loop")
-    (place / "broken").symlink_to("nowhere")
     (place / "link").symlink_to("full")
-    os.mkfifo(place / "fifo")
+    for name, kind in (("loop", "a link to itself"), ("broken", "a link to nothing"), ("fifo", "a pipe")):
+        NO_FILES[kind](place / name)
     more = ("--resume",) if draw.random() < 0.3 else ()
     words = ("run", "chain", "--runs", "1", "episodes=1", f"--out={out}", *more)
     return Given(f"--out={out[:40]} {' '.join(more)}", words, stops=False)
+
+
+_OUTS = (
+    *listed("/dev/null  /dev/null/x  /proc/x  /proc/self/x/y  /sys/x  file  file/x  full  loop/x  link"),
+    *("broken", "fifo", "-x", "new/a/b", ".", "", " ", "é\u202e", "n" * 300, "n" * 300 + "/x", "d/" * 3000),
+)
 
 
 _MODULES = {
@@ -717,55 +566,46 @@ _MODULES = {
 
 def _module(draw: random.Random, place: Path) -> Given:
     """A part of the user's own, from a module that goes wrong."""
-    change = draw.choice(list(_MODULES))
-    roles = {
-        "problem": ("bojax.problems.pose:PoseProblem", "parking"),
-        "env": ("bojax.envs.base:Env", "mountain-car"),
-        "planner": ("bojax.planning.base:Planner", "parking"),
-        "learner": ("bojax.learning.base:Learner", "mountain-car"),
-    }
-    role = draw.choice(sorted(roles))
-    base, config = roles[role]
-    module, _, name = base.partition(":")
-    text = _MODULES[change]
-    if "(Base)" in text:
-        text = f"from {module} import {name} as Base\n{text}"
+    change, role = draw.choice(list(_MODULES)), draw.choice(sorted(_BASES))
+    module, base, config = _BASES[role]
+    text = f"from {module} import {base} as Base\n{_MODULES[change]}"
+    text = text if "(Base)" in text else _MODULES[change]
     (place / "mine.py").write_bytes(text.encode("utf-8", errors="surrogateescape"))
-    path = draw.choice(
-        ["mine:Thing"] * 6 + ["mine:", ":Thing", "mine.x:Thing", "mine:Thing.x", "mine:Thing:x"]
-    )
-    params = draw.choice(["", "", f"{role}.x=1", f"{role}.x=text"])
-    words = ("run", config, f"{role}={path}", *([params] if params else []))
+    others = ["mine:", ":Thing", "mine.x:Thing", "mine:Thing.x", "mine:Thing:x"]
+    path = draw.choice(["mine:Thing"] * 6 + others)
+    params = draw.choice([(), (), (f"{role}.x=1",), (f"{role}.x=text",)])
+    words = ("run", config, f"{role}={path}", *params)
     return Given(f"{' '.join(words[1:])}, module: {change}", words, True)
+
+
+_BASES = {
+    "problem": ("bojax.problems.pose", "PoseProblem", "parking"),
+    "env": ("bojax.envs.base", "Env", "mountain-car"),
+    "planner": ("bojax.planning.base", "Planner", "parking"),
+    "learner": ("bojax.learning.base", "Learner", "mountain-car"),
+}
 
 
 def _gymnasium(draw: random.Random, place: Path) -> Given:
     """A Gymnasium environment that is not there, or goes wrong when it is made."""
-    texts = {
-        "exit": "raise SystemExit(0)",
-        "raises": "raise RuntimeError('a\\nb')",
-        "nothing": "",
-        "constructor": "import gymnasium\nclass E(gymnasium.Env):\n  def __init__(self, **k):\n"
-        "    raise SystemExit(0)\ngymnasium.register('Mine-v0', E)",
-        "no spaces": "import gymnasium\nclass E(gymnasium.Env):\n  def __init__(self, **k):\n    pass\n"
-        "gymnasium.register('Mine-v0', E)",
-    }
-    change = draw.choice([*texts, "id"])
-    (place / "gymmine.py").write_text(texts.get(change, ""))
-    ids = [
-        "",
-        "no-such",
-        "NoSuch-v0",
-        "gymmine:",
-        "no_such:X-v0",
-        "a:b:c",
-        "CartPole-v999",
-        "\x1b[31m",
-        "x" * 5000,
-    ]
-    name = "gymmine:Mine-v0" if change != "id" else draw.choice(ids)
+    change = draw.choice([*_GYMS, "id"])
+    (place / "gymmine.py").write_text(_GYMS.get(change, ""))
+    name = "gymmine:Mine-v0" if change != "id" else draw.choice(_GYM_IDS)
     words = ("run", "mountain-car", f"env={{kind: gymnasium, id: '{name}', max_steps: 5}}")
     return Given(f"gymnasium id {name[:40]!r}, {change}", words, True)
+
+
+_GYM = """import gymnasium
+class E(gymnasium.Env):
+  def __init__(self, **k):
+    {}
+gymnasium.register('Mine-v0', E)"""
+_GYMS = {
+    **{"exit": "raise SystemExit(0)", "raises": "raise RuntimeError('a\\nb')", "nothing": ""},
+    **{"constructor": _GYM.format("raise SystemExit(0)"), "no spaces": _GYM.format("pass")},
+}
+_GYM_IDS = listed("no-such  NoSuch-v0  gymmine:  no_such:X-v0  a:b:c  CartPole-v999")
+_GYM_IDS += ("", "\x1b[31m", "x" * 5000)
 
 
 FAMILIES: dict[Callable[[random.Random, Path], Given], int] = {
@@ -807,46 +647,21 @@ def _complete(name: str) -> dict[str, Any]:
 
 @functools.cache
 def _names(folder: str) -> list[str]:
-    return sorted(path.stem for path in _path(folder, "").parent.glob("*.yaml"))
+    return sorted(path.stem for path in (ROOT / folder).glob("*.yaml"))
 
 
 @functools.cache
-def _tree(folder: str, name: str) -> dict[str, Any]:
-    return yaml.safe_load(_path(folder, name).read_text())
+def _tree(name: str) -> dict[str, Any]:
+    return yaml.safe_load(_path("sweeps", name).read_text())
 
 
 def _path(folder: str, name: str) -> Path:
-    return Path(__file__).parents[2] / folder / f"{name}.yaml"
-
-
-def _paths(tree: Any, path: tuple = ()) -> list[tuple]:
-    """Paths of all settings of a tree, those of mappings and lists among them."""
-    entries = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
-    found = []
-    for key, value in entries:
-        found += [(*path, key), *_paths(value, (*path, key))]
-    return found
-
-
-def _at(tree: Any, path: tuple) -> Any:
-    for key in path:
-        tree = tree[key]
-    return tree
-
-
-def _assign(tree: Any, path: tuple, value: Any) -> None:
-    _at(tree, path[:-1])[path[-1]] = value
+    return ROOT / folder / f"{name}.yaml"
 
 
 def _misspelt(draw: random.Random, name: str) -> str:
     index = draw.randrange(len(name))
     return name[:index] + draw.choice(["", "x", name[index].upper(), ".", "-"]) + name[index + 1 :]
-
-
-def _numbers(counts: list[int]) -> list[tuple[str, int]]:
-    names = ["iterations", "depth", "exploration", "discount", "motions.actions", "motions.length"]
-    names += [f"x{index}" for index in range(len(counts))]
-    return list(zip(names, counts, strict=False))
 
 
 def _dump(tree: Any) -> str:

@@ -1,7 +1,6 @@
 """Interrupted folders with one thing damaged: a resumed one ends in the right bytes, or in one line."""
 
 import json
-import os
 import random
 import re
 import shutil
@@ -14,46 +13,44 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import scratch
-from benchmarks.campaign.workloads import contents, difference, finished, interrupted, merged, resume
+from benchmarks.campaign.process import run, scratch
+from benchmarks.campaign.spoil import BYTES, spoil
+from benchmarks.campaign.trees import assign, at, paths
+from benchmarks.campaign.workloads import WORKLOADS, fault_in, interrupted, resumed
 
-_WORKLOADS = (("toy", 12), ("toy", 30), ("tabular", 12), ("learner", 3), ("monitoring", 6))
-"""Workloads, with the number of parts at which they were interrupted."""
+_INTERRUPTED = (("toy", 12), ("toy", 30), ("tabular", 12), ("learner", 3), ("monitoring", 6))
+"""Workloads, with the number of pieces at which they were interrupted."""
 
 
 def check(seed: int) -> Outcome:
     """Damage one thing in a copy of an interrupted folder, then resume it."""
     draw = random.Random(f"damage {seed}")
-    name, parts = draw.choice(_WORKLOADS)
-    original, wanted = interrupted(name, parts), contents(finished(name))
+    name, pieces = draw.choice(_INTERRUPTED)
+    original = interrupted(name, pieces)
     with scratch() as place:
         out = place / "out"
         shutil.copytree(original, out, symlinks=True)
         tried = f"{name}: {damage(draw, out)}"
-        ended = resume(name, out, place)
+        ended = run(WORKLOADS[name].start(out, resume=True), place)
         if ended.code == 0 or ended.is_late:
-            return Outcome(tried, fault_of(ended, (0,)) or difference(contents(out), wanted))
+            return Outcome(tried, fault_of(ended, (0,)) or fault_in(out, name))
         if fault := fault_of(ended, (1, 2)):
             return Outcome(tried, fault)
-        if tables := merged(out):
+        if tables := sorted(path.name for path in out.glob("*.parquet")):
             return Outcome(tried, f"refused, and yet there is {', '.join(tables)}")
         advice = re.search(r"delete the folder (\S+\.work/chunk-[^/\s]+) and resume", ended.err)
         if not advice or draw.random() < 0.5:
             return Outcome(tried)
         shutil.rmtree(place / advice[1])
-        ended = resume(name, out, place)
-        fault = fault_of(ended, (0,)) or difference(contents(out), wanted)
+        fault = resumed(name, out, place)
         return Outcome(tried, f"as advised, deleted {Path(advice[1]).name}: {fault}" if fault else "")
 
 
 def damage(draw: random.Random, folder: Path) -> str:
     """Damage one file or folder below `folder`; says what was done."""
     victim = _victim(draw, folder)
-    options = [*_ANY, *_DAMAGES.get(victim.suffix, ())]
-    damage = draw.choice(options)
-    shown = victim.relative_to(folder)
-    done = damage(draw, victim)
-    return f"{shown}: {done}"
+    done = draw.choice([*_ANY, *_DAMAGES.get(victim.suffix, ())])(draw, victim)
+    return f"{victim.relative_to(folder)}: {done}"
 
 
 def _victim(draw: random.Random, folder: Path) -> Path:
@@ -78,79 +75,23 @@ def _delete_folder(draw: random.Random, path: Path) -> str:
     return "deleted with its folder"
 
 
-def _truncate(draw: random.Random, path: Path) -> str:
-    length = draw.choice([0, draw.randrange(path.stat().st_size + 1)])
-    os.truncate(path, length)
-    return f"truncated to {length} bytes"
-
-
 def _flip(draw: random.Random, path: Path) -> str:
-    content = bytearray(path.read_bytes() or b"\0")
-    index = draw.randrange(len(content))
-    content[index] ^= 1 << draw.randrange(8)
-    path.write_bytes(content)
-    return f"a bit of byte {index} flipped"
-
-
-def _zero(draw: random.Random, path: Path) -> str:
-    content = bytearray(path.read_bytes() or b"\0")
-    start = draw.randrange(len(content))
-    stop = min(len(content), start + draw.choice([1, 16, 512, 4096]))
-    content[start:stop] = bytes(stop - start)
-    path.write_bytes(content)
-    return f"bytes {start} to {stop} zeroed"
-
-
-def _garbage(draw: random.Random, path: Path) -> str:
-    path.write_bytes(draw.randbytes(path.stat().st_size or 1))
-    return "replaced by random bytes"
-
-
-def _append(draw: random.Random, path: Path) -> str:
-    with path.open("ab") as file:
-        file.write(draw.randbytes(draw.choice([1, 100])))
-    return "bytes appended"
+    path.write_bytes(BYTES["flipped"](draw, path.read_bytes()))
+    return "flipped"
 
 
 def _overwrite(draw: random.Random, path: Path) -> str:
+    """Copy another file over it, or let the two change places."""
     others = [other for other in sorted(path.parent.iterdir()) if other.is_file() and other != path]
     if not others:
         return _delete(draw, path)
     alike = [other for other in others if other.suffix == path.suffix] or others
     other = draw.choice(alike if draw.random() < 0.8 else others)
+    content, is_swap = path.read_bytes(), draw.random() < 0.3
     shutil.copyfile(other, path)
-    return f"overwritten by {other.name}"
-
-
-def _swap(draw: random.Random, path: Path) -> str:
-    others = [p for p in sorted(path.parent.iterdir()) if p.suffix == path.suffix and p != path]
-    others = [other for other in others if other.is_file()]
-    if not others:
-        return _flip(draw, path)
-    other, spare = draw.choice(others), path.with_name("spare")
-    path.rename(spare)
-    other.rename(path)
-    spare.rename(other)
-    return f"swapped with {other.name}"
-
-
-def _to_folder(draw: random.Random, path: Path) -> str:
-    path.unlink()
-    path.mkdir()
-    return "replaced by a folder"
-
-
-def _to_link(draw: random.Random, path: Path) -> str:
-    path.unlink()
-    target = draw.choice(["/nonexistent", path.name, "/dev/null", "/"])
-    path.symlink_to(target)
-    return f"replaced by a link to {target}"
-
-
-def _to_fifo(draw: random.Random, path: Path) -> str:
-    path.unlink()
-    os.mkfifo(path)
-    return "replaced by a FIFO"
+    if is_swap:
+        other.write_bytes(content)
+    return f"{'swapped with' if is_swap else 'overwritten by'} {other.name}"
 
 
 def _stray(draw: random.Random, path: Path) -> str:
@@ -177,20 +118,20 @@ def edit_json(draw: random.Random, path: Path) -> str:
         tree = json.loads(path.read_text())
     except (ValueError, RecursionError):  # damaged before
         return _flip(draw, path)
-    places = list(_places(tree))
-    where, parent, key = draw.choice(places) if places else ("", [tree], 0)
+    tree = [tree]
+    where = draw.choice(paths(tree)[1:] or [(0,)])
     change = draw.choice(["value", "value", "value", "type", "delete", "add"])
+    parent = at(tree, where[:-1])
     if change == "delete":
-        del parent[key]
+        del parent[where[-1]]
     elif change == "add" and isinstance(parent, dict):
-        parent[draw.choice(["surprise", "", "parts "])] = draw.choice(ODD_JSON)
-    elif change == "type":
-        parent[key] = _other(parent[key])
+        parent[draw.choice(["surprise", "", "pieces "])] = draw.choice(ODD_JSON)
     else:
-        parent[key] = draw.choice(ODD_JSON)
-    path.write_text(json.dumps(tree))
-    shown = "" if change == "delete" or not where else f", now {json.dumps(_at(tree, where))[:40]}"
-    return f"entry {'.'.join(map(str, where)) or 'all'}: {change}{shown}"
+        value = _other(at(tree, where)) if change == "type" else draw.choice(ODD_JSON)
+        assign(tree, where, value)
+        change += f", now {json.dumps(value)[:40]}"
+    path.write_text(json.dumps(*tree) if tree else "")
+    return f"entry {'.'.join(map(str, where[1:])) or 'all'}: {change}"
 
 
 def _nest(draw: random.Random, path: Path) -> str:
@@ -216,20 +157,6 @@ def _other(value: Any) -> Any:
     if isinstance(value, list):
         return dict(enumerate(value)) if value else ""
     return list(value) if isinstance(value, dict) else 0
-
-
-def _places(tree: Any, path: tuple = ()):
-    """Every entry of a tree, as its path, what holds it, and its key there."""
-    entries = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
-    for key, value in entries:
-        yield (*path, key), tree, key
-        yield from _places(value, (*path, key))
-
-
-def _at(tree: Any, path: tuple) -> Any:
-    for key in path:
-        tree = tree[key]
-    return tree
 
 
 def edit_table(draw: random.Random, path: Path) -> str:
@@ -266,10 +193,8 @@ def edit_arrays(draw: random.Random, path: Path) -> str:
     """Change the arrays of an npz file, and leave it well-formed."""
     arrays = dict(np.load(path))
     name = draw.choice(sorted(arrays))
-    value = arrays[name]
+    value = arrays.pop(name)
     changes: dict[str, Callable[[], Any]] = {
-        "dropped": lambda: None,
-        "renamed": lambda: None,
         "text": lambda: value.astype(str),
         "complex": lambda: value.astype(complex) + 1j,
         "integers": lambda: np.nan_to_num(value).astype(np.int64),
@@ -284,12 +209,10 @@ def edit_arrays(draw: random.Random, path: Path) -> str:
         "huge": lambda: np.full(value.shape, 1e308),
         "records": lambda: np.zeros(3, [("a", "f8"), ("b", "i4")]),
     }
-    change = draw.choice(sorted(changes))
-    if change in ("dropped", "renamed"):
-        arrays[f"{name}_"] = arrays.pop(name)
-        if change == "dropped":
-            del arrays[f"{name}_"]
-    else:
+    change = draw.choice(["dropped", "renamed", *changes])
+    if change == "renamed":
+        arrays[f"{name}_"] = value
+    elif change != "dropped":
         arrays[name] = changes[change]()
     np.savez(path, **arrays)
     return f"array {name}: {change}"
@@ -298,8 +221,7 @@ def edit_arrays(draw: random.Random, path: Path) -> str:
 _Damage = Callable[[random.Random, Path], str]
 
 _ANY: tuple[_Damage, ...] = (
-    *(_delete, _delete_folder, _truncate, _truncate, _flip, _flip, _flip, _zero, _garbage, _append),
-    *(_overwrite, _overwrite, _swap, _to_folder, _to_link, _to_fifo, _stray),
+    *(_delete, _delete_folder, _overwrite, _overwrite, _overwrite, _stray, *(spoil,) * 8, *(_flip,) * 3),
 )
 
 _DAMAGES: dict[str, tuple[_Damage, ...]] = {

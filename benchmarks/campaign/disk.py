@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmarks.campaign.case import Outcome, fault_of
 from benchmarks.campaign.process import run, scratch
-from benchmarks.campaign.workloads import WORKLOADS, contents, difference, finished
+from benchmarks.campaign.workloads import WORKLOADS, finished, resumed
 
 _WORKLOADS = ("toy", "toy", "tabular", "monitoring", "learner")
 _PAGE = 4096
@@ -20,7 +20,6 @@ def check(seed: int) -> Outcome:
     """Run a sweep on a disk of a size that follows from the seed, then enlarge the disk and resume."""
     draw = random.Random(f"disk {seed}")
     name = draw.choice(_WORKLOADS)
-    workload, wanted = WORKLOADS[name], contents(finished(name))
     with scratch() as place:
         (place / "disk").mkdir()
         out = place / "disk" / "out"
@@ -28,16 +27,14 @@ def check(seed: int) -> Outcome:
 
             def start() -> int:
                 limit()
-                return workload.start(out)()
+                return WORKLOADS[name].start(out)()
 
             tried = f"{name} on {what}"
             ended = run(start, place)
             if fault := fault_of(ended, (0, 1)):
                 return Outcome(tried, fault)
             enlarge()
-            ended = run(workload.start(out, resume=True), place)
-            fault = fault_of(ended, (0,))
-            return Outcome(tried, f"resuming: {fault}" if fault else difference(contents(out), wanted))
+            return Outcome(tried, resumed(name, out, place))
 
 
 @contextlib.contextmanager

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.campaign import tripwire
-from benchmarks.campaign.case import Outcome, fault_of, raised
+from benchmarks.campaign.case import Outcome, fault_of
 from benchmarks.campaign.process import Ended, run, scratch
-from benchmarks.campaign.workloads import WORKLOADS, Workload, contents, difference, finished
+from benchmarks.campaign.workloads import WORKLOADS, Workload, duration, finished, resumed
 
 _WORKLOADS = ("toy", "toy", "toy", "tabular", "planning", "monitoring", "learner", "hosted")
 _SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -18,7 +18,7 @@ _MOST_KILLS = 3
 Wire = Callable[[int | None, int, str], tripwire.Counter]
 
 _WIRES: dict[str, Wire] = {
-    "line": lambda at, number, folder: tripwire.at_line(at, number),
+    "line": tripwire.at_line,
     "operation on files": tripwire.at_file,
 }
 
@@ -27,7 +27,6 @@ def check(seed: int) -> Outcome:
     """Kill a sweep, and most often its resumption too, at moments that follow from the seed."""
     draw = random.Random(f"kills {seed}")
     workload = WORKLOADS[draw.choice(_WORKLOADS)]
-    wanted = contents(finished(workload.name))
     tried = workload.name
     with scratch() as place:
         out = place / "out"
@@ -36,14 +35,11 @@ def check(seed: int) -> Outcome:
             ended, moment = _killed(draw, workload, number, out, place, resume=attempt > 0)
             tried += f", {signal.Signals(number).name} {moment}"
             allowed = (0, -number, 128 + number, 130)
-            if fault := _fault_of_killed(ended, allowed):
+            if fault := fault_of(ended, allowed):
                 return Outcome(tried, fault)
             if ended.code == 0:
                 break
-        ended = run(workload.start(out, resume=True), place)
-        if fault := fault_of(ended, (0,)):
-            return Outcome(tried, f"resuming: {fault}")
-        return Outcome(tried, difference(contents(out), wanted))
+        return Outcome(tried, resumed(workload.name, out, place))
 
 
 def _killed(
@@ -55,7 +51,7 @@ def _killed(
     if how == "time":
         is_fresh = bool(workload.words) and draw.random() < 0.3
         # Before half a second is over it is Python that starts, not bojax.
-        delay = draw.uniform(0.5 if is_fresh else 0.0, _duration(workload.name))
+        delay = draw.uniform(0.5 if is_fresh else 0.0, duration(workload.name))
         signals = [(delay, number)]
         if number != signal.SIGKILL and draw.random() < 0.2:
             signals.append((delay + draw.uniform(0.0, 0.5), number))
@@ -72,24 +68,6 @@ def _killed(
         return start()
 
     return run(with_wire, place), f"at {how} {at}"
-
-
-def _fault_of_killed(ended: Ended, allowed: tuple[int, ...]) -> str:
-    if ended.is_late:
-        return f"not over after {ended.wall:.0f} s"
-    if "Traceback" in ended.err:
-        return f"traceback: {raised(ended.err)}"
-    if ended.code not in allowed:
-        return f"exit code {ended.code}: {ended.err.splitlines()[-1:]}"
-    return ""
-
-
-@functools.cache
-def _duration(name: str) -> float:
-    """Seconds that a workload takes here, with its programs cached."""
-    with scratch() as place:
-        finished(name)
-        return run(WORKLOADS[name].start(place / "out"), place).wall
 
 
 @functools.cache

@@ -8,7 +8,6 @@ that a slow machine sees them at the same points as a quick one, and while a chu
 import abc
 import atexit
 import functools
-import importlib.util
 import os
 import random
 import shutil
@@ -19,13 +18,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 from typing_extensions import override
 
-from benchmarks.campaign.case import Outcome, raised
-from benchmarks.campaign.process import Child, Ended, scratch
-from benchmarks.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
+from benchmarks.campaign.case import Outcome, fault_of
+from benchmarks.campaign.process import Child, cli, scratch
+from benchmarks.campaign.workloads import ROOT, WORKLOADS, fault_in, finished
 from bojax.results.attempts import AttemptRegistry, is_gone
 from bojax.results.store import MANIFEST, WORK, ResultsError, read_json
 
@@ -40,8 +40,9 @@ def check(seed: int) -> Outcome:
     """Disturb a sweep at moments that follow from the seed, and resume it until it is finished."""
     draw = random.Random(f"launches {seed}")
     kind = (_Processes, _Ray, _Slurm)[seed % 3]
-    kind = kind if kind.is_installed() else _Processes
-    wanted = contents(finished("shared"))
+    if (kind is _Ray and not find_spec("ray")) or (kind is _Slurm and not _has_slurm()):
+        kind = _Processes
+    finished("shared")
     with scratch() as place:
         launch = kind(place, draw)
         try:
@@ -50,10 +51,15 @@ def check(seed: int) -> Outcome:
                 launch.wait_for(mark)
                 launch.disturb()
             launch.finish()
-            fault = launch.fault or difference(contents(launch.out), wanted)
+            fault = launch.fault or fault_in(launch.out, "shared")
             return Outcome(launch.told, fault)
         finally:
             launch.close()
+
+
+def _has_slurm() -> bool:
+    commands = ("slurmctld", "slurmd", "munged", "sbatch")
+    return os.geteuid() == 0 and all(map(shutil.which, commands))
 
 
 class _Launch(abc.ABC):
@@ -64,11 +70,6 @@ class _Launch(abc.ABC):
         self._draw, self._paused, self._tried = draw, list[int](), list[str]()
         self._children: dict[Child, bool] = {}  # and whether it was disturbed
         self._driver: Child | None = None
-
-    @staticmethod
-    @abc.abstractmethod
-    def is_installed() -> bool:
-        """Whether this machine has what it needs."""
 
     @abc.abstractmethod
     def drive(self, *, resume: bool) -> None:
@@ -140,7 +141,9 @@ class _Launch(abc.ABC):
         for pid in self._paused:
             _send(pid, signal.SIGCONT)
         for child, was_disturbed in self._children.items():
-            self._judge(child.wait(child.wall + _PATIENCE), was_disturbed=was_disturbed)
+            ended = child.wait(child.wall + _PATIENCE)
+            codes = (0, 1, 2, *([ended.code] if was_disturbed else []))
+            self.fault = self.fault or fault_of(ended, codes)
         if not self.is_finished:
             self.fault = self.fault or f"not finished after {_MOST_RESUMES} drivers"
 
@@ -156,17 +159,6 @@ class _Launch(abc.ABC):
         for child in self._children:
             child.send(signal.SIGKILL)
             child.wait()
-
-    def _judge(self, ended: Ended, *, was_disturbed: bool) -> None:
-        errors = [line for line in ended.err.splitlines() if line.startswith("error: ")]
-        if ended.is_late:
-            self.fault = self.fault or f"not over after {ended.wall:.0f} s"
-        elif "Traceback (most" in ended.err:
-            self.fault = self.fault or raised(ended.err)
-        elif ended.code in (1, 2) and len(errors) != 1:
-            self.fault = self.fault or f"exit code {ended.code} with errors {errors}"
-        elif ended.code not in (0, 1, 2) and not was_disturbed:
-            self.fault = self.fault or f"exit code {ended.code}: {ended.err[-200:]}"
 
     def _start(self, function: Callable[[], int], *, is_limited: bool = True) -> Child:
         child = Child(function, self.place, is_limited=is_limited)
@@ -216,11 +208,6 @@ class _Launch(abc.ABC):
 class _Processes(_Launch):
     """Two workers of a launch that a driver has begun; or, later, a driver that runs all chunks itself."""
 
-    @staticmethod
-    @override
-    def is_installed() -> bool:
-        return True
-
     @override
     def drive(self, *, resume: bool) -> None:
         self._driver = self._start(WORKLOADS["shared"].start(self.out, resume=resume))
@@ -241,19 +228,11 @@ class _Processes(_Launch):
         }
 
     def _join(self, number: int) -> None:
-        from bojax.cli.main import main
-
-        words = ["worker", str(self.out), "--cores", "1", "--share", f"{number}/2"]
-        self._start(lambda: main(words))
+        self._start(lambda: cli("worker", str(self.out), "--cores", "1", "--share", f"{number}/2"))
 
 
 class _Ray(_Launch):
     """Actors on two nodes, one of which may be lost."""
-
-    @staticmethod
-    @override
-    def is_installed() -> bool:
-        return importlib.util.find_spec("ray") is not None
 
     @override
     def drive(self, *, resume: bool) -> None:
@@ -273,12 +252,6 @@ class _Ray(_Launch):
 
 class _Slurm(_Launch):
     """An array of two tasks at a time."""
-
-    @staticmethod
-    @override
-    def is_installed() -> bool:
-        commands = ("slurmctld", "slurmd", "munged", "sbatch")
-        return os.geteuid() == 0 and all(map(shutil.which, commands))
 
     @override
     def drive(self, *, resume: bool) -> None:

@@ -50,16 +50,16 @@ def import_all() -> None:
     """Import what the commands import when they run, so that no child has to."""
     import importlib
 
-    for name in ("cli.listing", "cli.reporting", "cli.rendering", "cli.running", "cli.worker", "engine.run"):
+    names = "cli.listing cli.reporting cli.rendering cli.running cli.worker engine.run engine.worker"
+    for name in f"{names} report.build films.choose films.film config.external".split():
         importlib.import_module(f"bojax.{name}")
-    for name in (
-        "engine.worker",
-        "report.build",
-        "films.choose",
-        "films.film",
-        "config.external",
-    ):
-        importlib.import_module(f"bojax.{name}")
+
+
+def cli(*words: str) -> int:
+    """The command line of bojax; returns its exit code."""
+    from bojax.cli.main import main
+
+    return main(words)
 
 
 class Child:

@@ -4,27 +4,19 @@ import contextlib
 import os
 import pty
 import random
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.kills import _duration
-from benchmarks.campaign.process import run, scratch
-from benchmarks.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
+from benchmarks.campaign.case import Outcome
+from benchmarks.campaign.process import scratch
+from benchmarks.campaign.workloads import ROOT, WORKLOADS, duration, fault_in, resumed
 
 _WORKLOADS = ("tabular", "tabular", "planning")
-_PIPES = {
-    "| head -1": "{command} | head -1",
-    "| true": "{command} | true",
-    "2>&1 | head -1": "{command} 2>&1 | head -1",
-    ">&-": "{command} >&-",
-    "2>&-": "{command} 2>&-",
-    ">&- 2>&- <&-": "{command} >&- 2>&- <&-",
-    "2> /dev/full": "{command} 2> /dev/full",
-}
+_PIPES = ("| head -1", "| true", "2>&1 | head -1", ">&-", "2>&-", ">&- 2>&- <&-", "2> /dev/full")
 
 
 def check(seed: int) -> Outcome:
@@ -36,11 +28,9 @@ def check(seed: int) -> Outcome:
 def _close(draw: random.Random) -> Outcome:
     name = draw.choice(_WORKLOADS)
     # The process starts for a second or two.
-    workload, delay = WORKLOADS[name], draw.uniform(0.0, 2.0 + _duration(name))
+    workload, delay = WORKLOADS[name], draw.uniform(0.0, 2.0 + duration(name))
     is_ignored = draw.random() < 0.25
-    tried = (
-        f"{name}, terminal closed after {delay:.2f} s{', signal ignored as by nohup' if is_ignored else ''}"
-    )
+    tried = f"{name}, terminal closed after {delay:.2f} s" + ", signal ignored as by nohup" * is_ignored
     with scratch() as place:
         out = place / "out"
         child, terminal = pty.fork()
@@ -63,21 +53,17 @@ def _close(draw: random.Random) -> Outcome:
         # Before bojax handles the signal, it ends the process.
         if code not in ((0,) if is_ignored else (0, 129, -signal.SIGHUP)):
             return Outcome(tried, f"exit code {code}")
-        if code:
-            resumed = run(workload.start(out, resume=True), place)
-            if fault := fault_of(resumed, (0,)):
-                return Outcome(tried, f"resuming: {fault}")
-        return Outcome(tried, difference(contents(out), contents(finished(name))))
+        return Outcome(tried, resumed(name, out, place) if code else fault_in(out, name))
 
 
 def _break(draw: random.Random) -> Outcome:
-    how = draw.choice(sorted(_PIPES))
+    how = draw.choice(_PIPES)
     words = [sys.executable, "-m", "bojax", *WORKLOADS["tabular"].words, "--out", "out"]
-    line = _PIPES[how].format(command=" ".join(f"'{word}'" for word in words))
+    line = f"{shlex.join(words)} {how}; exit ${{PIPESTATUS[0]}}"
     with scratch() as place:
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            ["bash", "-c", f"{line}; exit ${{PIPESTATUS[0]}}"],
+            ["bash", "-c", line],
             cwd=place,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -92,4 +78,4 @@ def _fault(code: int, out: Path) -> str:
         return f"exit code {code}"
     if not (out / "report.html").is_file():
         return "no report"
-    return difference(contents(out), contents(finished("tabular")))
+    return fault_in(out, "tabular")

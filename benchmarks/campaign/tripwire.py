@@ -1,9 +1,9 @@
 """Has the process send itself a signal at a chosen line of bojax, or at a chosen operation on files."""
 
+import functools
 import os
 import sys
-from collections.abc import Callable
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 _TRACED = ("bojax/engine/", "bojax/results/", "bojax/numerics/checkpoint.py")
@@ -16,37 +16,36 @@ _FILE_EVENTS = frozenset(
 
 
 class Counter:
-    """Counts events, and acts at one of them.
+    """Counts events, and sends this process a signal before one of them.
 
     Attributes:
         count: Events so far.
     """
 
-    def __init__(self, at: int | None, act: Callable[[], None]):
+    def __init__(self, at: int | None, number: int):
         self.count = 0
-        self._at, self._act = at, act
+        self._at, self._number = at, number
 
     def tick(self) -> None:
         """Note an event."""
-        if self.count == self._at:
-            self.count += 1
-            self._act()
-        else:
-            self.count += 1
+        self.count += 1
+        if self.count - 1 == self._at:
+            os.kill(os.getpid(), self._number)
 
 
-def at_line(at: int | None, number: int) -> Counter:
+def at_line(at: int | None, number: int, folder: str) -> Counter:
     """Send the signal `number` before the line of bojax with this index is run; None only counts them."""
-    counter = Counter(at, lambda: os.kill(os.getpid(), number))
-    traced: dict[Any, bool] = {}
+    del folder
+    counter = Counter(at, number)
+
+    @functools.cache
+    def is_traced(code: CodeType) -> bool:
+        return any(part in code.co_filename for part in _TRACED)
 
     def trace(frame: FrameType, event: str, argument: object) -> Any:
         del argument
-        code = frame.f_code
         if event == "call":
-            if code not in traced:
-                traced[code] = any(part in code.co_filename for part in _TRACED)
-            return trace if traced[code] else None
+            return trace if is_traced(frame.f_code) else None
         if event == "line":
             counter.tick()
         return trace
@@ -57,7 +56,7 @@ def at_line(at: int | None, number: int) -> Counter:
 
 def at_file(at: int | None, number: int, folder: str) -> Counter:
     """Send the signal `number` before the operation on files in `folder` with this index is made."""
-    counter = Counter(at, lambda: os.kill(os.getpid(), number))
+    counter = Counter(at, number)
 
     def audit(event: str, arguments: tuple[Any, ...]) -> None:
         if event in _FILE_EVENTS and any(folder in str(argument) for argument in arguments[:2]):
