@@ -7,10 +7,10 @@ that a slow machine sees them at the same points as a quick one, and while a chu
 
 import abc
 import atexit
+import contextlib
 import functools
 import os
 import random
-import shutil
 import signal
 import socket
 import subprocess
@@ -26,8 +26,9 @@ from typing_extensions import override
 from benchmarks.campaign.case import Outcome, fault_of
 from benchmarks.campaign.process import Child, cli, scratch
 from benchmarks.campaign.workloads import ROOT, WORKLOADS, fault_in, finished
-from bojax.results.attempts import AttemptRegistry, is_gone
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.store import MANIFEST, WORK, ResultsError, read_json
+from tests.engine.clusters import HAS_SLURM, running, slurm
 
 CHUNKS = 24
 _PATIENCE = 300.0
@@ -40,7 +41,7 @@ def check(seed: int) -> Outcome:
     """Disturb a sweep at moments that follow from the seed, and resume it until it is finished."""
     draw = random.Random(f"launches {seed}")
     kind = (_Processes, _Ray, _Slurm)[seed % 3]
-    if (kind is _Ray and not find_spec("ray")) or (kind is _Slurm and not _has_slurm()):
+    if (kind is _Ray and not find_spec("ray")) or (kind is _Slurm and not HAS_SLURM):
         kind = _Processes
     finished("shared")
     with scratch() as place:
@@ -55,11 +56,6 @@ def check(seed: int) -> Outcome:
             return Outcome(launch.told, fault)
         finally:
             launch.close()
-
-
-def _has_slurm() -> bool:
-    commands = ("slurmctld", "slurmd", "munged", "sbatch")
-    return os.geteuid() == 0 and all(map(shutil.which, commands))
 
 
 class _Launch(abc.ABC):
@@ -167,14 +163,8 @@ class _Launch(abc.ABC):
 
     def _workers(self) -> list[int]:
         """Processes, other than drivers, that run a chunk at this moment."""
-        attempts, found = self.attempts(), set[int]()
-        for chunk in attempts.begun() if attempts is not None else ():
-            assert attempts is not None
-            number = attempts.newest(chunk)
-            attempt = attempts.attempt(chunk, number)
-            has_ended = attempts.has_ended(chunk) or attempts.paused.get(chunk) == number
-            if not has_ended and attempt and attempt.process and not is_gone(attempt.process):
-                found.add(int(attempt.process[2]))
+        attempts = self.attempts()
+        found = set() if attempts is None else set(running(attempts))
         return sorted(found - {self._driver.pid if self._driver else 0} - set(self._paused))
 
     def _signal_one(self, number: int) -> list[int]:
@@ -255,7 +245,7 @@ class _Slurm(_Launch):
 
     @override
     def drive(self, *, resume: bool) -> None:
-        os.environ["SLURM_CONF"] = str(_slurm_cluster() / "slurm.conf")
+        os.environ["SLURM_CONF"] = str(_slurm_conf())
         (self.place / "cluster.yaml").write_text("{tasks: 2, cpus_per_task: 1, time: '0:10:00'}")
         words = ("--launcher", "slurm", "--cluster", "cluster.yaml")
         start = WORKLOADS["shared"].start_afresh(self.out, *words, resume=resume)
@@ -368,13 +358,8 @@ def _ray_server() -> subprocess.Popen[str]:
 
 
 @functools.cache
-def _slurm_cluster() -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="bojax-slurm-"))
-    script = ROOT / "tests" / "engine" / "slurm_cluster.sh"
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = min(free.getsockname()[1], 65000)
-    environment = {**os.environ, "SLURM_PORT": str(port)}
-    subprocess.run([script, folder, "start"], check=True, timeout=120, env=environment)
-    atexit.register(subprocess.run, [script, folder, "stop"])
-    return folder
+def _slurm_conf() -> Path:
+    """The configuration of Slurm's daemons, which end with this process."""
+    stack = contextlib.ExitStack()
+    atexit.register(stack.close)
+    return stack.enter_context(slurm(Path(tempfile.mkdtemp(prefix="bojax-slurm-"))))

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 import types
 from pathlib import Path
 
@@ -22,17 +21,7 @@ from bojax.engine.errors import EngineError
 from bojax.engine.launchers import ray_actors
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.store import WORK
-
-SWEEP = """\
-base: cliff-walking
-axes: {env.slip: [0.01, 0.1, 0.2]}
-runs: 20
-record: {runs: 0}
-engine: {segment_seconds: 0.2, checkpoint_seconds: 0.2}
-"""
-"""One group of four chunks."""
-
-EPISODES = "episodes=1000"
+from tests.engine.clusters import EPISODES, SWEEP, contents, running_in, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -69,38 +58,6 @@ def bojax(place: Path, *words: str, address: str | None, before: str = "", **var
     )
 
 
-def contents(folder: Path) -> dict[str, bytes]:
-    return {name: (folder / f"{name}.parquet").read_bytes() for name in ("runs", "episodes")}
-
-
-def wait_until(condition, process: subprocess.Popen) -> None:
-    deadline = time.monotonic() + 400
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def workers_with_checkpoints(out: Path) -> list[int]:
-    """The processes that have committed something."""
-    if not (out / WORK).is_dir():
-        return []
-    attempts = AttemptRegistry(out / WORK, out)
-    found = []
-    for chunk in attempts.begun():
-        number = attempts.newest(chunk)
-        attempt = attempts.attempt(chunk, number)
-        is_open = attempts.paused.get(chunk) != number and not attempts.has_ended(chunk)
-        if (
-            is_open
-            and attempt
-            and attempt.process
-            and list(attempts.path(chunk, number).glob("checkpoint-*"))
-        ):
-            found.append(int(attempt.process[2]))
-    return sorted(set(found))
-
-
 @pytest.mark.ray
 def test_actors_nodes_and_drivers_are_lost(cluster, tmp_path):
     (tmp_path / "sweep.yaml").write_text(SWEEP)
@@ -108,8 +65,8 @@ def test_actors_nodes_and_drivers_are_lost(cluster, tmp_path):
     assert start(tmp_path, "--out", "alone").wait(300) == 0
     options = ("--launcher", "ray", "--out", "out")
     driver = start(tmp_path, *options, address=cluster.address)
-    wait_until(lambda: len(workers_with_checkpoints(out)) == 2, driver)  # one for each GPU
-    os.kill(workers_with_checkpoints(out)[0], signal.SIGKILL)
+    wait_until(lambda: len(running_in(out, with_checkpoint=True)) == 2, driver)  # one for each GPU
+    os.kill(running_in(out, with_checkpoint=True)[0], signal.SIGKILL)
     driver.send_signal(signal.SIGKILL)
     driver.communicate()
     cluster.remove_node(cluster.second)  # now, since a driver may use that node to reach the cluster
@@ -125,12 +82,14 @@ def test_a_driver_that_is_interrupted_stops_its_actors(cluster, tmp_path):
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     out = tmp_path / "out"
     driver = start(tmp_path, "--launcher", "ray", "--out", "out", address=cluster.address)
-    wait_until(lambda: workers_with_checkpoints(out), driver)
+    wait_until(lambda: running_in(out, with_checkpoint=True), driver)
     driver.send_signal(signal.SIGTERM)
     text, _ = driver.communicate(timeout=120)
     assert driver.returncode == 143, text
     assert "interrupted; to resume:\n  bojax sweep sweep.yaml" in text
-    assert not workers_with_checkpoints(out)  # all chunks are paused
+    attempts = AttemptRegistry(out / WORK, out)
+    begun = [each for each in attempts.begun() if not attempts.has_ended(each)]
+    assert begun and all(attempts.paused.get(each) == attempts.newest(each) for each in begun)
 
 
 @pytest.mark.ray
@@ -167,7 +126,7 @@ def test_a_cluster_loses_its_only_node(tmp_path):
         few = "ray_actors.LOST_SECONDS = 2.0"
         address = cluster.address
         driver = bojax(tmp_path, *words, address=address, before=few)
-        wait_until(lambda: workers_with_checkpoints(tmp_path / "out"), driver)
+        wait_until(lambda: running_in(tmp_path / "out", with_checkpoint=True), driver)
         cluster.remove_node(node)
         text, _ = driver.communicate(timeout=120)
     finally:

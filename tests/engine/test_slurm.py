@@ -2,12 +2,9 @@
 
 import json
 import os
-import shutil
 import signal
-import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -17,35 +14,18 @@ from bojax.config.errors import ConfigError
 from bojax.config.launching import SlurmConfig, load_launching
 from bojax.engine.errors import EngineError
 from bojax.engine.launchers.slurm import Slurm
-from bojax.results.attempts import AttemptRegistry, is_gone
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.store import WORK
-
-SCRIPT = Path(__file__).with_name("slurm_cluster.sh")
-HAS_SLURM = all(map(shutil.which, ("slurmctld", "slurmd", "munged", "sbatch"))) and os.geteuid() == 0
-SWEEP = """\
-base: cliff-walking
-axes: {env.slip: [0.01, 0.1, 0.2]}
-runs: 20
-record: {runs: 0}
-engine: {segment_seconds: 0.2, checkpoint_seconds: 0.2}
-"""
-"""One group of four chunks."""
+from tests.engine.clusters import EPISODES, HAS_SLURM, SWEEP, contents, running_in, slurm, wait_until
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
     if not HAS_SLURM:
         pytest.skip("needs slurm-wlm and munge, and root")
-    folder = tmp_path_factory.mktemp("slurm")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    environment = {**os.environ, "SLURM_PORT": str(min(port, 65000))}
-    subprocess.run([SCRIPT, folder, "start"], check=True, timeout=60, env=environment)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
-        yield folder
-        subprocess.run([SCRIPT, folder, "stop"], check=True)
+    with slurm(tmp_path_factory.mktemp("slurm")) as conf, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SLURM_CONF", str(conf))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +39,8 @@ def place(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def alone(place) -> dict[str, bytes]:
-    bojax(place, "sweep", "sweep.yaml", "--out", "alone", *EPISODES)
+    bojax(place, "sweep", "sweep.yaml", "--out", "alone", EPISODES)
     return contents(place / "alone")
-
-
-EPISODES = ("episodes=1000",)
 
 
 def bojax(place: Path, *words: str, code: int = 0) -> subprocess.CompletedProcess:
@@ -80,20 +57,9 @@ def bojax(place: Path, *words: str, code: int = 0) -> subprocess.CompletedProces
 
 def on_slurm(place: Path, out: str, *words: str, code: int = 0) -> str:
     """Submit or resume the sweep; the number of the array, if one was submitted."""
-    options = ("--launcher", "slurm", "--cluster", "cluster.yaml", "--out", out, *EPISODES)
+    options = ("--launcher", "slurm", "--cluster", "cluster.yaml", "--out", out, EPISODES)
     done = bojax(place, "sweep", "sweep.yaml", *options, *words, code=code)
     return done.stdout.partition("submitted job ")[2].partition(" ")[0]
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {name: (folder / f"{name}.parquet").read_bytes() for name in ("runs", "episodes")}
-
-
-def wait_until(condition) -> None:
-    deadline = time.monotonic() + 120
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.2)
 
 
 def states(job: str) -> set[str]:
@@ -111,14 +77,6 @@ def has_checkpoint(out: Path) -> bool:
     return any((out / WORK).glob("chunk-00000-*/checkpoint-*"))
 
 
-def running(out: Path) -> list[int]:
-    """The processes that run chunks."""
-    attempts = AttemptRegistry(out / WORK, out)
-    left = [chunk for chunk in attempts.begun() if not attempts.has_ended(chunk)]
-    found = [attempts.attempt(chunk, attempts.newest(chunk)) for chunk in left]
-    return [int(each.process[2]) for each in found if each and each.process and not is_gone(each.process)]
-
-
 @pytest.mark.slow
 @pytest.mark.slurm
 def test_signals_and_a_second_array(cluster, place, alone):
@@ -134,8 +92,8 @@ def test_signals_and_a_second_array(cluster, place, alone):
     assert not any((out / WORK).glob("*.failed"))
     second = on_slurm(place, "out", "--resume")  # what is left
     assert second != job and not on_slurm(place, "out", "--resume")  # its tasks have not ended
-    wait_until(lambda: running(out))
-    os.kill(running(out)[0], signal.SIGKILL)
+    wait_until(lambda: running_in(out))
+    os.kill(running_in(out)[0], signal.SIGKILL)
     wait_until(lambda: "Restarts=1" in shown(second))
     wait_until(lambda: states(second) == {"COMPLETED"})
     assert len(AttemptRegistry(out / WORK, out).done) == 4
