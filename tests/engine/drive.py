@@ -118,6 +118,12 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
+def one_error(capsys) -> str:
+    """The only line of the standard error stream that is an error."""
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    return line
+
+
 if __name__ == "__main__":
     import tests.strict  # noqa: F401
     from bojax.cli.main import leave

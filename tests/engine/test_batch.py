@@ -186,63 +186,36 @@ def test_another_shape_raises():
         program.init(place(other, [0], [0]))
 
 
-class Weak(Toy):
-    def init(self, key):
-        walk = super().init(key)
-        return [walk, 1.0]
+def changed(method: str, change) -> type[Toy]:
+    """A toy one of whose methods returns something else."""
+    original = getattr(Toy, method)
+    return type(Toy)("Changed", (Toy,), {method: lambda self, given: change(original(self, given))})
 
 
-class Drifting(Toy):
-    def advance(self, carry):
-        carry, records = super().advance(carry)
-        return [carry], records
+def unmarked(advanced):
+    del advanced[1].tables["steps"]["valid"]
+    return advanced
 
 
-class Undeclared(Toy):
-    def summary(self, carry):
-        return {**super().summary(carry), "extra": carry.step}
-
-
-class Silent(Toy):
-    def summary(self, carry):
-        return {"return": carry.position[0]}
-
-
-class Vectorial(Toy):
-    def summary(self, carry):
-        return {**super().summary(carry), "return": carry.position}
-
-
-class Mistyped(Toy):
-    def summary(self, carry):
-        return {**super().summary(carry), "success": carry.position[0]}
-
-
-class Unmarked(Toy):
-    def advance(self, carry):
-        carry, records = super().advance(carry)
-        del records.tables["steps"]["valid"]
-        return carry, records
-
-
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [
-        (Weak, r"init: carry\[1\] is a Python number"),
-        (Drifting, "advance: the carry's structure changes"),
-        (Undeclared, "summary: column 'extra' is not declared"),
-        (Silent, "summary: column 'first_right' is declared"),
-        (Vectorial, "summary: 'return' has shape"),
-        (Mistyped, "summary: 'success' is float64; `tables` declares bool"),
-        (Unmarked, "table 'steps' has no column 'valid'"),
-    ],
-)
-def test_a_mistake_in_an_experiment_is_one_line(kind, message):
+def test_a_mistake_in_an_experiment_is_one_line():
     good = toy()
-    with pytest.raises(EngineError, match=message) as error:
-        compile_toys(modules=[kind(good.scale, good.start, good.poison, good.max_length)])
-    assert "\n" not in str(error.value)
-    assert error.value.exit_code == 1
+    for method, change, message in (
+        ("init", lambda walk: [walk, 1.0], r"init: carry\[1\] is a Python number"),
+        ("advance", lambda made: ([made[0]], made[1]), "advance: the carry's structure changes"),
+        ("advance", unmarked, "table 'steps' has no column 'valid'"),
+        ("summary", lambda made: made | {"extra": made["steps"]}, "summary: column 'extra' is not declared"),
+        ("summary", lambda made: {"return": made["return"]}, "summary: column 'first_right' is declared"),
+        ("summary", lambda made: made | {"return": jnp.zeros(2)}, "summary: 'return' has shape"),
+        (
+            "summary",
+            lambda made: made | {"success": made["return"]},
+            "summary: 'success' is float64; `tables` declares bool",
+        ),
+    ):
+        kind = changed(method, change)
+        with pytest.raises(EngineError, match=message) as error:
+            compile_toys(modules=[kind(good.scale, good.start, good.poison, good.max_length)])
+        assert "\n" not in str(error.value) and error.value.exit_code == 1
 
 
 def test_a_compilation_starts_when_no_other_group_is_traced():

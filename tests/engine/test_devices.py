@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 
 import jax
 import pytest
@@ -27,13 +28,15 @@ print(json.dumps([len(found), len(workers_of(found)), *map(setting, flags), draw
 """
 
 
+def python(*words: str, without: Sequence[str] = (), **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python with these words, in an environment without some variables and with others."""
+    kept = {key: value for key, value in os.environ.items() if key not in without}
+    return subprocess.run([sys.executable, *words], env=kept | environment, capture_output=True, text=True)
+
+
 def prepared(device="cpu", before="", **environment):
-    clean = {key: value for key, value in os.environ.items() if key not in ("XLA_FLAGS", "BOJAX_CACHE")}
     code = REPORT.format(device=device, before=before)
-    result = subprocess.run(
-        [sys.executable, "-c", code], env=clean | environment, capture_output=True, text=True, check=True
-    )
-    return json.loads(result.stdout)
+    return json.loads(python("-c", code, without=["XLA_FLAGS", "BOJAX_CACHE"], **environment).stdout)
 
 
 def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
@@ -44,10 +47,7 @@ def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
 
 
 def test_platforms_that_jax_cannot_start_are_one_line(tmp_path):
-    command = [sys.executable, "-m", "bojax", "run", "parking", "--out", str(tmp_path / "out")]
-    ended = subprocess.run(
-        command, env={**os.environ, "JAX_PLATFORMS": "tpu"}, capture_output=True, text=True, check=False
-    )
+    ended = python("-m", "bojax", "run", "parking", "--out", str(tmp_path / "out"), JAX_PLATFORMS="tpu")
     assert ended.returncode == 2
     assert ended.stderr.splitlines()[-1].startswith(
         "error: JAX_PLATFORMS: got tpu; allowed: platforms that JAX can start on this machine, or unset it: "
@@ -71,11 +71,10 @@ try:
 except EngineError as error:
     print(error)
 """
-    anywhere = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
-    ended = subprocess.run(
-        [sys.executable, "-c", code], env=anywhere, capture_output=True, text=True, check=True
+    ended = python("-c", code, without=["JAX_PLATFORMS"])
+    assert ended.returncode == 0 and ended.stdout.startswith(
+        "JAX cannot start; run `bojax doctor`, or use engine.device=cpu: "
     )
-    assert ended.stdout.startswith("JAX cannot start; run `bojax doctor`, or use engine.device=cpu: ")
     assert "the GPU is taken" in ended.stdout and len(ended.stdout.splitlines()) == 1
 
 
@@ -86,8 +85,8 @@ from bojax.engine.devices import start_early
 jax.devices = lambda: (time.sleep(0.5), print("started"))
 start_early("cpu")
 """
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ended.stdout == "started\n"
+    ended = python("-c", code)
+    assert (ended.returncode, ended.stdout) == (0, "started\n")
 
 
 class Named:
@@ -151,9 +150,7 @@ def test_flags_with_which_no_program_runs_are_one_line(tmp_path, capsys):
 
 @pytest.mark.parametrize("command", [["run", "chain"], ["tune", "chain", "learner.discount=0.1:0.2"]])
 def test_variables_that_jax_refuses_are_one_line(tmp_path, command):
-    command = [sys.executable, "-m", "bojax", *command, "--out", str(tmp_path / "out")]
-    environment = {**os.environ, "JAX_ENABLE_X64": "maybe"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    done = python("-m", "bojax", *command, "--out", str(tmp_path / "out"), JAX_ENABLE_X64="maybe")
     (line,) = done.stderr.splitlines()
     assert done.returncode == 2 and line.startswith("error: JAX refuses") and "JAX_ENABLE_X64" in line
     assert not (tmp_path / "out").exists()

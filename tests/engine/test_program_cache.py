@@ -144,24 +144,28 @@ def test_programs_that_jax_has_kept_are_saved_without_a_compilation(cache):
     jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
+def spoil(path, how):
+    """Change the bytes in the middle of a file, or put something else in its place."""
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+    path.unlink()
+    if how in ("a pipe", "a folder"):
+        {"a pipe": os.mkfifo, "a folder": os.mkdir}[how](path)
+    else:
+        path.write_bytes({"emptied": b"", "cut off": whole[:middle], "flipped": flipped}[how])
+
+
 @pytest.mark.parametrize("damage", ["cut off", "flipped", "a pipe", "without a hash", "a folder"])
 def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
     # A full disk, or a kill at the wrong moment: JAX never replaces an entry, and verifies no hash.
     expected = advanced(programs_of(group_of()))
     (entry,) = cache.parent.glob("jit_advance_*-cache")
-    whole = entry.read_bytes()
-    middle = len(whole) // 2
-    if damage == "a pipe":
-        entry.unlink()
-        os.mkfifo(entry)
-    elif damage == "without a hash":
+    middle = entry.stat().st_size // 2
+    if damage == "without a hash":
         (cache / entry.name).unlink()
-    elif damage == "a folder":
-        entry.unlink()
-        entry.mkdir()
     else:
-        flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
-        entry.write_bytes({"cut off": whole[:middle], "flipped": flipped}[damage])
+        spoil(entry, damage)
     jax.clear_caches()
     before = batch.compile_counts.copy()
     found = advanced(programs_of(group_of()))
@@ -312,18 +316,12 @@ def test_nothing_foreign_may_be_part_of_a_group(cache, part):
 def test_a_damaged_entry_is_not_used_and_replaced(compiled, entries, damage):
     expected = advanced(compiled[0])
     _, entry, other, *_ = entries
-    whole = entry.read_bytes()
-    middle = len(whole) // 2
-    entry.unlink()
-    if damage == "a pipe":
-        os.mkfifo(entry)
-    elif damage == "renamed":  # a right checksum, and the content of another program
+    if damage == "renamed":  # a right checksum, and the content of another program
         shutil.copy(other, entry)
+    elif damage == "a pickle":
+        entry.write_bytes(hashlib.sha256(pickle.dumps(Planted())).digest() + pickle.dumps(Planted()))
     else:
-        flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
-        pickled = hashlib.sha256(pickle.dumps(Planted())).digest() + pickle.dumps(Planted())
-        damaged = {"emptied": b"", "cut off": whole[:middle], "flipped": flipped, "a pickle": pickled}
-        entry.write_bytes(damaged[damage])
+        spoil(entry, damage)
     found = advanced(programs_of(group_of()))
     jax.tree.map(np.testing.assert_array_equal, found, expected)
     key, _, name = entry.name.partition("-")

@@ -179,6 +179,23 @@ def test_a_worker_that_cannot_run_tells_why(monkeypatch):
         launcher.keep()
 
 
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    """A working directory with a sweep, and what nobody has set."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    return tmp_path
+
+
+def refused(capsys, *words: str) -> str:
+    """Launch the sweep in vain: the line of the error; nothing is written."""
+    assert main(["sweep", "sweep.yaml", "--launcher", "ray", *words, "--out", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert not Path("out").exists()
+    return line
+
+
 def refuse(*_, **__):
     raise ConnectionError("Failed to connect to Ray cluster")
 
@@ -202,29 +219,23 @@ TOKEN = "if it asks for a token, set RAY_AUTH"
         (True, hang, f"(TimeoutError: no connection within 0 s); {TOKEN}"),
     ],
 )
-def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch, listens, init, message):
+def test_no_cluster_at_the_address(here, capsys, monkeypatch, listens, init, message):
     """Where nothing answers, Ray itself would try for minutes."""
-    monkeypatch.chdir(tmp_path)
     fake = types.SimpleNamespace(is_initialized=lambda: False, init=init)
     monkeypatch.setattr(ray_actors, "CONNECT_SECONDS", 0.2)
     monkeypatch.setitem(sys.modules, "ray", fake)
-    (tmp_path / "sweep.yaml").write_text(SWEEP)
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         if listens:
             unused.listen()
         address = f"127.0.0.1:{unused.getsockname()[1]}"
-        (tmp_path / "ray.yaml").write_text(f"address: {address}")
-        words = ["sweep", "sweep.yaml", "--launcher", "ray", "--cluster", "ray.yaml", "--out", "out"]
-        assert main(words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+        (here / "ray.yaml").write_text(f"address: {address}")
+        line = refused(capsys, "--cluster", "ray.yaml")
     assert line.startswith(f"error: --launcher ray: no Ray cluster at {address} {message}")
-    assert not (tmp_path / "out").exists()
 
 
-def test_more_cores_than_the_cluster_has(tmp_path, capsys, monkeypatch):
+def test_more_cores_than_the_cluster_has(here, capsys, monkeypatch):
     """Refused before anything is written, and Ray is shut down again."""
-    monkeypatch.chdir(tmp_path)
     calls = []
     cluster = {
         "is_initialized": lambda: False,
@@ -235,25 +246,16 @@ def test_more_cores_than_the_cluster_has(tmp_path, capsys, monkeypatch):
         "shutdown": lambda: calls.append("shutdown"),
     }
     monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**cluster))
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    (tmp_path / "sweep.yaml").write_text(SWEEP)
-    (tmp_path / "ray.yaml").write_text("cpus_per_worker: 64")
-    words = ["sweep", "sweep.yaml", "--launcher", "ray", "--cluster", "ray.yaml", "--out", "out"]
-    assert main(words) == 2
-    message = "error: --launcher ray: cpus_per_worker: got 64; allowed: at most 2\n"
-    assert capsys.readouterr().err == message
-    assert calls == ["init local", "shutdown"] and not (tmp_path / "out").exists()
+    (here / "ray.yaml").write_text("cpus_per_worker: 64")
+    message = "error: --launcher ray: cpus_per_worker: got 64; allowed: at most 2"
+    assert refused(capsys, "--cluster", "ray.yaml") == message
+    assert calls == ["init local", "shutdown"]
 
 
-def test_without_the_extra(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "sweep.yaml").write_text(SWEEP)
+def test_without_the_extra(here, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    assert main(["sweep", "sweep.yaml", "--launcher", "ray", "--out", "out"]) == 2
-    assert capsys.readouterr().err == (
-        "error: ray is not installed; install it in a clone of bojax: pip install -e '.[ray]'\n"
-    )
-    assert not (tmp_path / "out").exists()
+    message = "error: ray is not installed; install it in a clone of bojax: pip install -e '.[ray]'"
+    assert refused(capsys) == message
 
 
 def test_actors_of_gpus_share_the_cores():

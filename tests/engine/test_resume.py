@@ -15,7 +15,7 @@ import pytest
 from bojax.engine.chunks import Layout
 from bojax.engine.signals import StopRequest
 from bojax.results.store import WORK, read_manifest
-from tests.engine.drive import contents, run_toy, run_toys, start_toy
+from tests.engine.drive import contents, one_error, run_toy, run_toys, start_toy
 from tests.tiers import by_tier
 
 POINTS = ({"scale": 1.0, "max_length": 400}, {"scale": 2.0, "max_length": 400}, {"max_length": 30})
@@ -61,16 +61,27 @@ def stop_in_the_middle(out: Path, number: signal.Signals) -> tuple[int, str]:
     return process.returncode, errors
 
 
-@pytest.mark.bits
-def test_killed_and_resumed(tmp_path, undisturbed):
-    out = tmp_path / "toy"
-    code, _ = stop_in_the_middle(out, signal.SIGKILL)
-    assert code == -signal.SIGKILL
-    assert not (out / "runs.parquet").exists()
-    assert read_manifest(out)["status"] == "running"
-    assert run_sweep_here(out, resume=True) == 0
-    assert contents(out) == contents(undisturbed)
+def resumes(out: Path, expected: Path, **settings) -> None:
+    """Resumed, a sweep ends in the bytes of an undisturbed one, and without working files."""
+    assert run_sweep_here(out, resume=True, **settings) == 0
+    assert contents(out) == contents(expected)
     assert not (out / WORK).exists()
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize(
+    "number",
+    by_tier([signal.SIGKILL, signal.SIGINT, signal.SIGTERM], normal=[signal.SIGKILL, signal.SIGTERM]),
+)
+def test_stopped_and_resumed(tmp_path, undisturbed, number):
+    out = tmp_path / "toy"
+    found, errors = stop_in_the_middle(out, number)
+    is_killed = number == signal.SIGKILL
+    assert found == (-number if is_killed else 128 + number)
+    assert is_killed or errors.splitlines()[-1].strip() == f"bojax sweep toy --out {out} --resume"
+    assert read_manifest(out)["status"] == ("running" if is_killed else "interrupted")
+    assert not (out / "runs.parquet").exists()
+    resumes(out, undisturbed)
 
 
 @pytest.mark.bits
@@ -102,20 +113,7 @@ def test_killed_where_runs_have_taken_lanes_and_moved_to_fewer(tmp_path, monkeyp
     process.kill()
     process.communicate(timeout=60)
     assert not (killed / "runs.parquet").exists()
-    assert run_sweep_here(killed, resume=True, **sweep) == 0
-    assert contents(killed) == contents(undisturbed)
-
-
-@pytest.mark.bits
-@pytest.mark.parametrize("number", by_tier([signal.SIGINT, signal.SIGTERM], normal=[signal.SIGTERM]))
-def test_interrupted_and_resumed(tmp_path, undisturbed, number):
-    out = tmp_path / "toy"
-    found, errors = stop_in_the_middle(out, number)
-    assert found == 128 + number
-    assert errors.splitlines()[-1].strip() == f"bojax sweep toy --out {out} --resume"
-    assert read_manifest(out)["status"] == "interrupted"
-    assert run_sweep_here(out, resume=True) == 0
-    assert contents(out) == contents(undisturbed)
+    resumes(killed, undisturbed, **sweep)
 
 
 LEADER = """
@@ -142,8 +140,7 @@ def test_a_terminal_is_closed(tmp_path, undisturbed):
     process.send_signal(signal.SIGHUP)  # a shell sends another one
     assert process.wait(60) == 128 + signal.SIGHUP
     assert read_manifest(out)["status"] == "interrupted"
-    assert run_sweep_here(out, resume=True) == 0
-    assert contents(out) == contents(undisturbed)
+    resumes(out, undisturbed)
 
 
 def test_nohup_keeps_a_sweep_running():
@@ -229,17 +226,10 @@ def stop_after(out: Path, segments: int, **settings) -> int:
         return run_sweep_here(out, **{**OFTEN, **settings})
 
 
-def one_line(capsys) -> str:
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
-    assert len(lines) == 1
-    return lines[0]
-
-
 @pytest.mark.bits
 def test_resume_twice(interrupted, undisturbed):
     assert stop_after(interrupted, segments=2, resume=True) == 130
-    assert run_sweep_here(interrupted, resume=True) == 0
-    assert contents(interrupted) == contents(undisturbed)
+    resumes(interrupted, undisturbed)
 
 
 @pytest.mark.parametrize(
@@ -256,7 +246,7 @@ def test_changed_config_is_refused(interrupted, capsys, change, named):
     before = sorted(interrupted.rglob("*"))
     capsys.readouterr()
     assert run_sweep_here(interrupted, resume=True, **change) == 2
-    assert named in one_line(capsys)
+    assert named in one_error(capsys)
     assert sorted(interrupted.rglob("*")) == before
 
 
@@ -264,14 +254,13 @@ def test_changed_code_is_refused(interrupted, capsys, monkeypatch):
     monkeypatch.setattr("bojax.engine.plan.code_hashes", lambda modules: {"bojax": "another"})
     capsys.readouterr()
     assert run_sweep_here(interrupted, resume=True) == 2
-    assert "code.bojax: " in one_line(capsys)
+    assert "code.bojax: " in one_error(capsys)
 
 
 def test_segments_and_reports_may_change(interrupted, undisturbed):
     why = {"claims": ["a"], "cause": "slip", "text": "Written after the sweep began."}
     changes = {"segment_seconds": 0.5, "checkpoint_seconds": 9.0, "report": {"explanations": [why]}}
-    assert run_sweep_here(interrupted, resume=True, **changes) == 0
-    assert contents(interrupted) == contents(undisturbed)
+    resumes(interrupted, undisturbed, **changes)
 
 
 HALFWAY = {"points": ({"scale": 1.0}, {"scale": 2.0}), "runs": 12, "lanes_per_device": 4, "device": "cpu"}
@@ -326,54 +315,42 @@ def turn_into_folder(path: Path) -> None:
     path.mkdir()
 
 
+def truncate(size: int):
+    return lambda path: os.truncate(path, size)
+
+
+def copy_of(other: str):
+    """Copy a file beside it, or one of the same folder of attempts, over it."""
+    return lambda path: shutil.copy(next(path.parents[1].glob(other)), path)
+
+
 FIRST, SECOND = "chunk-00000-*-1", "chunk-00001-*-1"
+STEPS = "piece-00000{}-steps.parquet"
+OF_FIRST, OF_SECOND, LATER = f"{FIRST}/{STEPS}", f"{SECOND}/{STEPS.format(0)}", f"{FIRST}/{STEPS.format(1)}"
+STATE, SNAPSHOT = f"{SECOND}/state.json", f"{FIRST}/arrays/0-0-walk-end.npz"
 DAMAGES = {
-    "the first piece is missing": (f"{SECOND}/piece-000000-steps.parquet", Path.unlink),
-    "a piece is missing": (f"{SECOND}/piece-000001-steps.parquet", Path.unlink),
+    "the first piece is missing": (OF_SECOND, Path.unlink),
+    "a piece is missing": (f"{SECOND}/{STEPS.format(1)}", Path.unlink),
     "the summaries of a finished chunk are missing": (f"{FIRST}/piece-*-runs.parquet", Path.unlink),
-    "a piece is a copy of the next": (
-        f"{SECOND}/piece-000000-steps.parquet",
-        lambda path: shutil.copy(path.with_name("piece-000001-steps.parquet"), path),
-    ),
-    "a piece is a copy of another chunk's": (
-        f"{SECOND}/piece-000000-steps.parquet",
-        lambda path: shutil.copy(next(path.parents[1].glob(f"{FIRST}/{path.name}")), path),
-    ),
-    "a piece is truncated": (f"{FIRST}/piece-000000-steps.parquet", lambda path: os.truncate(path, 99)),
-    "a piece is empty": (f"{FIRST}/piece-000001-steps.parquet", lambda path: os.truncate(path, 0)),
-    "a piece is a folder": (f"{FIRST}/piece-000001-steps.parquet", turn_into_folder),
-    "a bit of a piece is flipped": (f"{FIRST}/piece-000001-steps.parquet", lambda path: flip(path, 0.1)),
-    "a bit of a footer is flipped": (f"{FIRST}/piece-000001-steps.parquet", lambda path: flip(path, 0.9)),
-    "a snapshot is missing": (f"{FIRST}/arrays/0-0-walk-end.npz", Path.unlink),
-    "a snapshot is another's": (
-        f"{FIRST}/arrays/0-0-walk-end.npz",
-        lambda path: shutil.copy(path.with_name("0-1-walk-end.npz"), path),
-    ),
+    "a piece is a copy of the next": (OF_SECOND, copy_of(f"{SECOND}/{STEPS.format(1)}")),
+    "a piece is a copy of another chunk's": (OF_SECOND, copy_of(OF_FIRST.format(0))),
+    "a piece is truncated": (OF_FIRST.format(0), truncate(99)),
+    "a piece is empty": (LATER, truncate(0)),
+    "a piece is a folder": (LATER, turn_into_folder),
+    "a bit of a piece is flipped": (LATER, lambda path: flip(path, 0.1)),
+    "a bit of a footer is flipped": (LATER, lambda path: flip(path, 0.9)),
+    "a snapshot is missing": (SNAPSHOT, Path.unlink),
+    "a snapshot is another's": (SNAPSHOT, copy_of("arrays/0-1-walk-end.npz")),
     "the checkpoint is missing": (f"{SECOND}/checkpoint-*", shutil.rmtree),
     "a file of the checkpoint is missing": (f"{SECOND}/checkpoint-*/state/_METADATA", Path.unlink),
-    "the checkpoint is truncated": (
-        f"{SECOND}/checkpoint-*/state/manifest.ocdbt",
-        lambda path: os.truncate(path, 99),
-    ),
-    "a bit of the checkpoint is flipped": (
-        f"{SECOND}/checkpoint-*",
-        lambda path: flip(largest(path), 0.5),
-    ),
-    "a digit of the state is changed": (
-        f"{SECOND}/state.json",
-        replace('"advances": [0-9]+', '"advances": 9'),
-    ),
-    "a flag of the state is changed": (
-        f"{SECOND}/state.json",
-        replace('"is_done": false', '"is_done": true'),
-    ),
-    "the state has another type": (f"{SECOND}/state.json", lambda path: path.write_text('[{"parts": 1}]')),
-    "the state is truncated": (f"{SECOND}/state.json", lambda path: os.truncate(path, 60)),
-    "the state is nested deep": (f"{SECOND}/state.json", lambda path: path.write_text("[" * 10**5)),
-    "the state is another chunk's": (
-        f"{SECOND}/state.json",
-        lambda path: shutil.copy(next(path.parents[1].glob(f"{FIRST}/state.json")), path),
-    ),
+    "the checkpoint is truncated": (f"{SECOND}/checkpoint-*/state/manifest.ocdbt", truncate(99)),
+    "a bit of the checkpoint is flipped": (f"{SECOND}/checkpoint-*", lambda path: flip(largest(path), 0.5)),
+    "a digit of the state is changed": (STATE, replace('"advances": [0-9]+', '"advances": 9')),
+    "a flag of the state is changed": (STATE, replace('"is_done": false', '"is_done": true')),
+    "the state has another type": (STATE, lambda path: path.write_text('[{"parts": 1}]')),
+    "the state is truncated": (STATE, truncate(60)),
+    "the state is nested deep": (STATE, lambda path: path.write_text("[" * 10**5)),
+    "the state is another chunk's": (STATE, copy_of(f"{FIRST}/state.json")),
     "the plan is changed": ("plan.json", replace('"seed": 3', '"seed": 4')),
 }
 
@@ -390,7 +367,7 @@ def test_a_damaged_folder_is_refused_in_one_line(copy, capsys, name):
     before = files_of(copy)
     capsys.readouterr()
     assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
-    line = one_line(capsys)
+    line = one_error(capsys)
     damaged = path if path.parent.name == WORK else copy / WORK / path.relative_to(copy / WORK).parts[0]
     assert (
         str(damaged) in line and f"delete th{'e folder' if path.parent.name != WORK else 'is file'}" in line
@@ -404,7 +381,7 @@ def test_a_copied_chunk_is_refused(copy, capsys):
     shutil.copytree(first, second)
     capsys.readouterr()
     assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
-    assert f"{second / 'state.json'}: copied from another chunk; delete the folder" in one_line(capsys)
+    assert f"{second / 'state.json'}: copied from another chunk; delete the folder" in one_error(capsys)
 
 
 @pytest.mark.parametrize("is_folder", [False, True])
@@ -426,16 +403,14 @@ def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
     shutil.copy(first / "arrays" / "0-0-walk-end.npz", second / "arrays" / "1-9-walk-end.npz")
     (second / "checkpoint-00000099").write_text("stray")
     (second / "learners-00000099.orbax-checkpoint-tmp" / "state").mkdir(parents=True)
-    assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
-    assert contents(copy) == contents(undamaged)
+    resumes(copy, undamaged, **HALFWAY)
     assert not (copy / "learners").exists() and not list(copy.glob(".*"))
 
 
 @pytest.mark.parametrize("pattern", [f"{SECOND}/state.json", "plan.json"])
 def test_what_can_be_made_again_may_be_missing(copy, undamaged, pattern):
     min((copy / WORK).glob(pattern)).unlink()
-    assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
-    assert contents(copy) == contents(undamaged)
+    resumes(copy, undamaged, **HALFWAY)
 
 
 def test_cut_off_while_merging(copy, undamaged, monkeypatch):
@@ -456,8 +431,7 @@ def test_cut_off_while_merging(copy, undamaged, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             run_sweep_here(copy, resume=True, **HALFWAY)
     assert len(list((copy / "arrays").glob("*.npz"))) == 1
-    assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
-    assert contents(copy) == contents(undamaged)
+    resumes(copy, undamaged, **HALFWAY)
 
 
 def test_working_files_gone(copy, capsys):
@@ -472,15 +446,14 @@ def test_working_files_gone(copy, capsys):
 def test_deleting_a_bad_chunk_mends_it(interrupted, undisturbed):
     (chunk,) = {path.parent for path in interrupted.glob(f"{WORK}/chunk-*/checkpoint-*")}
     shutil.rmtree(chunk)
-    assert run_sweep_here(interrupted, resume=True) == 0
-    assert contents(interrupted) == contents(undisturbed)
+    resumes(interrupted, undisturbed)
 
 
 def test_newest_unfinished_folder_is_taken(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     root = Path("results/toy")
     assert run_sweep_here(None, resume=True) == 2
-    assert "no unfinished sweep" in one_line(capsys)
+    assert "no unfinished sweep" in one_error(capsys)
     assert stop_after(root / "20260101-000000", segments=1) == 130
     assert stop_after(root / "20260102-000000", segments=1) == 130
     assert run_sweep_here(root / "20260103-000000") == 0
@@ -499,6 +472,6 @@ def test_folder_in_use(interrupted, capsys):
     holder._take_lock()
     capsys.readouterr()
     assert run_sweep_here(interrupted, resume=True) == 2
-    assert "another process" in one_line(capsys)
+    assert "another process" in one_error(capsys)
     holder.close(finished=False)
     assert run_sweep_here(interrupted, resume=True) == 0

@@ -24,7 +24,7 @@ from bojax.engine.targets import Request, choose_targets
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
-from tests.engine.drive import NEEDS_CPU, contents, run_toy, start_toy
+from tests.engine.drive import NEEDS_CPU, contents, one_error, run_toy, start_toy
 from tests.tiers import by_tier
 from tests.toy import Toy, toy_sweep
 
@@ -48,10 +48,6 @@ def folder(tmp_path_factory) -> Path:
 def columns(path: Path) -> dict[str, np.ndarray]:
     table = read_table(path)
     return {name: table[name].to_numpy() for name in table.column_names}
-
-
-def errors(capsys) -> list[str]:
-    return [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
 
 
 def test_runs(folder):
@@ -276,7 +272,7 @@ def test_nans_are_counted(tmp_path, capsys):
 def test_existing_folder_is_left_alone(tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
     assert run_toy(tmp_path) == 2
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "is not empty" in line
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
@@ -284,7 +280,7 @@ def test_existing_folder_is_left_alone(tmp_path, capsys):
 def test_unwritable_folder(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert run_toy(tmp_path / "file" / "out") == 2
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "cannot be written" in line
 
 
@@ -298,7 +294,7 @@ def test_no_gpu(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(jax, "devices", without_gpu)
     assert run_toy(tmp_path / "toy", device="gpu") == 2
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "engine.device: got gpu" in line and "engine.device=auto" in line
     assert not (tmp_path / "toy").exists()
 
@@ -309,7 +305,7 @@ def test_settings_that_a_constructor_refuses(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr("bojax.engine.plan.build", refuse)
     assert run_toy(tmp_path / "toy") == 2
-    assert errors(capsys) == ["error: point 0: problem.size: got -1; allowed: > 0"]
+    assert one_error(capsys) == "error: point 0: problem.size: got -1; allowed: > 0"
     assert not (tmp_path / "toy").exists()
 
 
@@ -327,7 +323,7 @@ def test_full_disk_is_resumable(tmp_path, capsys, folder, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", full)
         assert run_toy(out, runs=RUNS) == 1
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "the disk is full" in line and "--resume" in line
     assert not list(out.rglob("*.tmp")) and not (out / "runs.parquet").exists()
     assert run_toy(out, runs=RUNS, resume=True) == 0
@@ -341,7 +337,7 @@ def test_full_disk_at_a_checkpoint(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("orbax.checkpoint.v1.save_async", full)
     often = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
     assert run_toy(tmp_path / "toy", {"max_length": 200}, **often) == 1
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "the disk is full" in line
 
 
@@ -352,7 +348,7 @@ def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch, program)
 
     monkeypatch.setattr(batch.Programs, program, exhausted)
     assert run_toy(tmp_path / "toy", runs=64, lanes_per_device=16) == 1
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "16 lanes per device: try engine.lanes_per_device=8" in line
 
 
@@ -369,7 +365,7 @@ def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monke
     with monkeypatch.context() as patch:
         patch.setattr(batch.Programs, "place", fail)
         assert run_toy(out, runs=RUNS, lanes_per_device=10) == 1
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "1 of 3 chunks failed: RuntimeError: boom and a stack (traceback in " in line
     manifest = read_manifest(out)
     assert manifest["status"] == "failed"
@@ -393,7 +389,7 @@ def test_a_group_that_cannot_be_compiled_does_not_stop_the_others(tmp_path, caps
     with monkeypatch.context() as patch:
         patch.setattr(tasks, "Programs", Uncompilable)
         assert run_toy(tmp_path / "toy", runs=RUNS) == 1
-    (line,) = errors(capsys)
+    line = one_error(capsys)
     assert "RuntimeError: XLA has a bug" in line
     assert set(read_table(tmp_path / "toy" / "runs.parquet")["point"].to_pylist()) == {0, 1}
     assert run_toy(tmp_path / "toy", runs=RUNS, resume=True) == 0
@@ -493,9 +489,8 @@ def test_several_sweeps_on_different_devices_are_refused(tmp_path, capsys):
     first, second = toy_sweep(name="first"), toy_sweep(name="second", device="cpu")
     requests = [Request(first, tmp_path / "first"), Request(second, tmp_path / "second")]
     assert run_sweeps(requests, False, []) == 2
-    assert errors(capsys) == [
-        "error: engine.device: got auto (first), cpu (second); allowed: one device for all sweeps"
-    ]
+    message = "error: engine.device: got auto (first), cpu (second); allowed: one device for all sweeps"
+    assert one_error(capsys) == message
     assert not list(tmp_path.iterdir())
 
 
@@ -540,7 +535,7 @@ def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
             patch.setattr(program_cache, "compiled", lambda *_: 1 / 0)
         patch.setattr(AttemptRegistry, "end" if moment == "fail" else moment, full)
         assert run_toy(tmp_path / "toy") == 1
-    assert errors(capsys) == ["error: the disk is full"]
+    assert one_error(capsys) == "error: the disk is full"
     assert all(chunk["status"] != "failed" for chunk in read_manifest(tmp_path / "toy")["chunks"])
     assert run_toy(tmp_path / "toy", resume=True) == 0
 
@@ -599,7 +594,7 @@ def test_finished_sweep_resumed(folder, capsys):
 def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("bojax.engine.plan.CHUNKS", Limit("chunks", 2**60, at_least=1))
     assert run_toy(tmp_path / "toy", runs=6, lanes_per_device=2) == 2
-    (message,) = errors(capsys)
+    message = one_error(capsys)
     assert (
         message.startswith("error: engine.lanes_per_device: got ") and " chunks, which take about " in message
     )

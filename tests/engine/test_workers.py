@@ -2,7 +2,6 @@
 
 import shutil
 import signal
-import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,8 @@ from bojax.engine.worker import share_of
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, read_manifest, read_table
-from tests.engine.drive import NEEDS_CPU, contents, plan_toy, run_toy, start_worker, work_on
+from tests.engine.clusters import wait_until
+from tests.engine.drive import NEEDS_CPU, contents, one_error, plan_toy, run_toy, start_worker, work_on
 from tests.engine.here import Here
 from tests.tiers import by_tier
 from tests.toy import toy_sweep
@@ -135,14 +135,6 @@ def test_a_worker_goes_on_where_others_stopped(often, alone):
     assert merged(often) == alone
 
 
-def wait_until(condition, process) -> None:
-    deadline = time.monotonic() + 120
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def has_checkpoint(out: Path) -> bool:
     return any((out / WORK).glob("chunk-*-1/checkpoint-*"))
 
@@ -171,11 +163,6 @@ def test_a_paused_worker_wakes_up_after_another_launch_has_merged_the_sweep(ofte
     assert contents(often) == alone and not (often / WORK).exists()
 
 
-def one_line(capsys) -> str:
-    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
-    return line
-
-
 @pytest.mark.parametrize(
     ("where", "value", "named"),
     [
@@ -193,7 +180,7 @@ def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, 
     monkeypatch.setattr(where, value)
     capsys.readouterr()
     assert work_on(planned) == 2
-    line = one_line(capsys)
+    line = one_error(capsys)
     assert "this worker does not fit the plan" in line and named in line
     assert line.endswith("; allowed: the same versions, on a device of the same kind")
     assert sorted(planned.rglob("*")) == before
@@ -201,11 +188,11 @@ def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, 
 
 def test_what_is_no_planned_sweep(tmp_path, planned, capsys):
     assert work_on(tmp_path / "elsewhere") == 2
-    assert "elsewhere: no such folder on " in one_line(capsys)
+    assert "elsewhere: no such folder on " in one_error(capsys)
     path = planned / WORK / "plan.json"
     path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
     assert work_on(planned) == 2
-    assert f"{path}: damaged" in one_line(capsys)
+    assert f"{path}: damaged" in one_error(capsys)
 
 
 def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone, capsys, monkeypatch):
@@ -217,7 +204,7 @@ def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone,
     with monkeypatch.context() as patch:
         patch.setattr(chunk_folder, "write_table", full)
         assert work_on(planned) == 1
-    assert "the disk is full" in one_line(capsys)
+    assert "the disk is full" in one_error(capsys)
     attempts = attempts_of(planned)
     assert attempts.begun() and len(attempts.paused) == len(attempts.begun()) and not attempts.failed
     assert work_on(planned) == 0
@@ -321,7 +308,7 @@ def test_files_that_are_seen_late(planned, alone, capsys, monkeypatch, looks, re
     if left == 0:
         assert code == 0 and contents(planned) == alone
     else:
-        assert code == 1 and "the workers have ended early; to go on: bojax" in one_line(capsys)
+        assert code == 1 and "the workers have ended early; to go on: bojax" in one_error(capsys)
         assert left is None or launcher.looks_left == left
 
 
