@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,18 +15,8 @@ if TYPE_CHECKING:
     from benchmarks.campaign.case import Outcome
 
 KINDS = {
-    "configs": 600,
-    "kills": 110,
-    "launches": 100,
-    "damage": 220,
-    "disk": 24,
-    "results": 150,
-    "numbers": 60,
-    "environment": 80,
-    "caches": 80,
-    "terminals": 40,
-    "comparisons": 100,
-    "clusters": 80,
+    **{"configs": 600, "kills": 110, "launches": 100, "damage": 220, "disk": 24, "results": 150},
+    **{"numbers": 60, "environment": 80, "caches": 80, "terminals": 40, "comparisons": 100, "clusters": 80},
 }
 """Kinds of cases, each a module of this package, with how many are run by default."""
 
@@ -52,20 +42,8 @@ def main() -> int:
     from benchmarks.campaign.process import import_all
 
     import_all()
-    if args.quick:
-        wanted = {kind: list(seeds) for kind, seeds in QUICK.items()}
-    elif args.case:
-        kind, _, seed = args.case.partition(":")
-        wanted = {kind: [int(seed)]}
-    else:
-        first = args.seed * _CASES_PER_SEED
-        wanted = {
-            kind: list(range(first, first + (count if args.count is None else args.count)))
-            for kind, count in KINDS.items()
-            if args.only in (None, kind)
-        }
     tallies: dict[str, Tally] = {}
-    for kind, seeds in wanted.items():
+    for kind, seeds in _wanted(args).items():
         check = importlib.import_module(f"benchmarks.campaign.{kind}").check
         start, short = time.monotonic(), []
         for number, seed in enumerate(seeds, 1):
@@ -86,6 +64,18 @@ def main() -> int:
     if failed:
         print("\nto run a case again: python -m benchmarks.campaign --case KIND:SEED")
     return int(failed)
+
+
+def _wanted(args: argparse.Namespace) -> Mapping[str, Sequence[int]]:
+    """The seeds to run, by kind."""
+    if args.quick:
+        return QUICK
+    if args.case:
+        kind, _, seed = args.case.partition(":")
+        return {kind: [int(seed)]}
+    first = args.seed * _CASES_PER_SEED
+    counts = {kind: count if args.count is None else args.count for kind, count in KINDS.items()}
+    return {kind: range(first, first + counts[kind]) for kind in ([args.only] if args.only else KINDS)}
 
 
 def _checked(check: "Callable[[int], Outcome]", seed: int) -> "Outcome":

@@ -15,15 +15,10 @@ _TRACEBACK = "Traceback (most recent call last)"
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a case ended.
+    """How a case ended."""
 
-    Attributes:
-        tried: What was done, in a few words.
-        fault: Why it fell short; empty if it held.
-    """
-
-    tried: str
-    fault: str = ""
+    tried: str  # what was done, in a few words
+    fault: str = ""  # why it fell short; empty if it held
 
 
 @dataclass(frozen=True)

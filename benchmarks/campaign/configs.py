@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import Ended, run, scratch
+from benchmarks.campaign.process import Ended, cli, run, scratch
 from benchmarks.campaign.snippets import listed, odd, shown
 from benchmarks.campaign.spoil import BYTES, NO_FILES
 from benchmarks.campaign.trees import assign, at, paths
@@ -36,21 +36,13 @@ _HERE = "@here@"
 
 @dataclass(frozen=True)
 class Given:
-    """A command line, with its files written.
+    """A command line, with its files written."""
 
-    Attributes:
-        tried: What is odd about it.
-        words: The arguments of `bojax`.
-        is_bad: Whether it has to be refused; otherwise it may be valid.
-        stops: Whether a valid one stops short of running.
-        traces: Whether the experiment of a valid one is traced: parts that do not fit may only fail there.
-    """
-
-    tried: str
-    words: tuple[str, ...]
-    is_bad: bool = False
-    stops: bool = True
-    traces: bool = False
+    tried: str  # what is odd about it
+    words: tuple[str, ...]  # the arguments of `bojax`
+    is_bad: bool = False  # whether it has to be refused; otherwise it may be valid
+    stops: bool = True  # whether a valid one stops short of running
+    traces: bool = False  # whether a valid one is traced: parts that do not fit may only fail there
 
 
 def check(seed: int) -> Outcome:
@@ -86,8 +78,6 @@ def _listing(place: Path) -> set[str]:
 
 def _command(given: Given) -> int:
     """`bojax` with these words; unless the case says otherwise it stops where the engine would start."""
-    from bojax.cli.main import main
-
     if given.stops:
         import bojax.engine.run
         import bojax.report.build
@@ -102,7 +92,7 @@ def _command(given: Given) -> int:
         plan_unfinished = bojax.engine.run.plan_unfinished
         bojax.engine.run.plan_unfinished = lambda *given: plan_unfinished(*given)[:0]
         bojax.report.build.build_report = lambda folder, *_: folder
-    return main(list(given.words))
+    return cli(*given.words)
 
 
 def _trace(sweep: Any) -> int:

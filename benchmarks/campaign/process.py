@@ -25,25 +25,15 @@ _SPARE_MEMORY = 4 << 30
 
 @dataclass(frozen=True)
 class Ended:
-    """How a child ended.
+    """How a child ended."""
 
-    Attributes:
-        code: Its exit code; minus the signal's number if a signal ended it.
-        out: What it wrote to the standard output stream.
-        err: What it wrote to the standard error stream.
-        wall: Seconds it took.
-        cpu: Seconds of processor time it took.
-        megabytes: The most memory it held.
-        is_late: Whether it had to be ended.
-    """
-
-    code: int
-    out: str
-    err: str
-    wall: float
-    cpu: float
-    megabytes: float
-    is_late: bool
+    code: int  # its exit code; minus the signal's number if a signal ended it
+    out: str  # what it wrote to the standard output stream
+    err: str  # what it wrote to the standard error stream
+    wall: float  # seconds it took
+    cpu: float  # seconds of processor time it took
+    megabytes: float  # the most memory it held
+    is_late: bool  # whether it had to be ended
 
 
 def import_all() -> None:

@@ -24,16 +24,10 @@ _TOY_POINTS = ({"scale": 1.0, "max_length": 60}, {"scale": 2.0, "max_length": 60
 
 @dataclass(frozen=True)
 class Workload:
-    """A sweep that takes seconds.
+    """A sweep that takes seconds."""
 
-    Attributes:
-        name: What cases call it.
-        words: The command line, but for `--out`; empty for the toy experiment, which needs no compilation
-            to speak of.
-    """
-
-    name: str
-    words: tuple[str, ...]
+    name: str  # what cases call it
+    words: tuple[str, ...]  # the command line, but for `--out`; empty for the toy, which compiles quickly
 
     def start(self, out: Path, *, resume: bool = False, report: bool = False) -> Callable[[], int]:
         """A function that runs or resumes it, writing into `out`, with or without its report."""
