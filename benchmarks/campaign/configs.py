@@ -413,25 +413,15 @@ def _npy(draw: random.Random, place: Path) -> tuple[str, str, bool]:
 
 
 _ROWS = "".join(f"{index},{index + 1},{index * index}\n" for index in range(5))
+_BAD_ROWS = (
+    *("1,2", "a,b,c", "1,,3", "nan,1,2", "1,inf,2", "1,1e999,2", "1,2,1+2j", '"1","2","3"', "\0,1,2"),
+    f"{'9' * 5000},1,2",
+)
 _NO_TABLES = {
-    "ragged": _ROWS + "1,2\n",
-    "text": _ROWS + "a,b,c\n",
-    "empty": "",
-    "names alone": "x,y,value\n",
-    "two lines of names": "x,y,value\nm,m,m\n" + _ROWS,
-    "holes": _ROWS + "1,,3\n",
-    "NaN": _ROWS + "nan,1,2\n",
-    "infinite": _ROWS + "1,inf,2\n",
-    "too large": _ROWS + "1,1e999,2\n",
-    "semicolons": _ROWS.replace(",", ";"),
-    "complex": _ROWS + "1,2,1+2j\n",
-    "one column": "1\n2\n3\n",
-    "html": "<html><body>404</body></html>\n",
-    "quoted": _ROWS + '"1","2","3"\n',
-    "zero bytes": _ROWS + "\0,1,2\n",
-    "long line": "1," * 10**6 + "1\n2\n",
-    "many digits": _ROWS + f"{'9' * 5000},1,2\n",
-    "utf-16": _ROWS.encode("utf-16"),
+    **{f"a row {shown(row)}": _ROWS + row + "\n" for row in _BAD_ROWS},
+    **{"empty": "", "names alone": "x,y,value\n", "two lines of names": "x,y,value\nm,m,m\n" + _ROWS},
+    **{"semicolons": _ROWS.replace(",", ";"), "one column": "1\n2\n3\n", "long": "1," * 10**6 + "1\n2\n"},
+    **{"html": "<html><body>404</body></html>\n", "utf-16": _ROWS.encode("utf-16")},
 }
 _TABLES = {
     **{"comments": "# a\n" + _ROWS, "crlf": _ROWS.replace("\n", "\r\n"), "good": _ROWS, "end": _ROWS.strip()},
@@ -599,21 +589,8 @@ _GYM_IDS += ("", "\x1b[31m", "x" * 5000)
 
 
 FAMILIES: dict[Callable[[random.Random, Path], Given], int] = {
-    _setting: 20,
-    _override: 14,
-    _parts: 5,
-    _fitting: 8,
-    _structure: 9,
-    _sweep: 12,
-    _alias: 1,
-    _bytes: 10,
-    _bomb: 4,
-    _no_file: 4,
-    _data: 10,
-    _arguments: 10,
-    _places: 4,
-    _module: 6,
-    _gymnasium: 3,
+    **{_setting: 20, _override: 14, _parts: 5, _fitting: 8, _structure: 9, _sweep: 12, _alias: 1, _bytes: 10},
+    **{_bomb: 4, _no_file: 4, _data: 10, _arguments: 10, _places: 4, _module: 6, _gymnasium: 3},
 }
 """Families of inputs with their weights."""
 

@@ -16,11 +16,16 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 _PR_SET_PDEATHSIG = 1
 
 _SPARE_MEMORY = 4 << 30
 """Address space beyond that of this process; XLA's threads reserve more than they use."""
+
+
+Signals = Sequence[tuple[float, int]]
+"""Times since the start of a child, in seconds, and the signals that are sent then."""
 
 
 @dataclass(frozen=True)
@@ -87,28 +92,17 @@ class Child:
         found, status, usage = os.wait4(self.pid, os.WNOHANG)
         if not found:
             return None
-        texts = []
-        for file in self._streams:
-            file.seek(0)
-            texts.append(file.read().decode(errors="backslashreplace"))
-            file.close()
-        self._ended = Ended(
-            code=os.waitstatus_to_exitcode(status),
-            out=texts[0],
-            err=texts[1],
-            wall=self.wall,
-            cpu=usage.ru_utime + usage.ru_stime,
-            megabytes=usage.ru_maxrss / 1024,
-            is_late=is_late,
-        )
+        out, err = map(_text, self._streams)
+        code, cpu = os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime
+        self._ended = Ended(code, out, err, self.wall, cpu, usage.ru_maxrss / 1024, is_late)
         return self._ended
 
-    def wait(self, seconds: float = 90.0, signals: Sequence[tuple[float, int]] = ()) -> Ended:
+    def wait(self, seconds: float = 90.0, signals: Signals = ()) -> Ended:
         """Wait for its end.
 
         Args:
             seconds: Time since its start after which it is killed.
-            signals: `(time since its start in seconds, signal)`, sent in this order.
+            signals: Signals to send.
         """
         waiting, is_late = sorted(signals), False
         while (ended := self.poll(is_late=is_late)) is None:
@@ -158,6 +152,13 @@ def _be_child(function: Callable[[], int], place: Path, out: int, err: int, is_l
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(code & 0xFF)
+
+
+def _text(file: IO[bytes]) -> str:
+    """What a file holds, which is closed then."""
+    with file:
+        file.seek(0)
+        return file.read().decode(errors="backslashreplace")
 
 
 def _memory() -> int:
