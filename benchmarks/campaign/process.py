@@ -115,13 +115,7 @@ class Child:
         return ended
 
 
-def run(
-    function: Callable[[], int],
-    place: Path,
-    *,
-    signals: Sequence[tuple[float, int]] = (),
-    seconds: float = 90.0,
-) -> Ended:
+def run(function: Callable[[], int], place: Path, *, signals: Signals = (), seconds: float = 90.0) -> Ended:
     """Call a function in a child, and wait for its end; see `Child`."""
     return Child(function, place).wait(seconds, signals)
 
