@@ -74,7 +74,8 @@ def test_an_existing_folder_is_not_touched(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("precious")
     assert main(["run", "parking", "--out", "mine"]) == 2
-    assert capsys.readouterr().err.startswith("error: mine: ")
+    err = capsys.readouterr().err
+    assert err.startswith("error: mine: ") and "is not empty" in err and err.count("\n") == 1
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
     assert (tmp_path / "mine" / "notes.txt").read_text() == "precious"
 

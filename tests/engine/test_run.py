@@ -269,14 +269,6 @@ def test_nans_are_counted(tmp_path, capsys):
     assert f"warning: {(expected > 0).sum()} runs contain NaN" in capsys.readouterr().err
 
 
-def test_existing_folder_is_left_alone(tmp_path, capsys):
-    (tmp_path / "mine.txt").write_text("mine")
-    assert run_toy(tmp_path) == 2
-    line = one_error(capsys)
-    assert "is not empty" in line
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
 def test_unwritable_folder(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert run_toy(tmp_path / "file" / "out") == 2
