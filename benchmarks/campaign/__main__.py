@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -34,6 +35,8 @@ _CASES_PER_SEED = 1_000_000
 def main() -> int:
     """Run what the command line asks for."""
     args = _arguments()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell or nohup may have them ignored
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("MPLBACKEND", "agg")
