@@ -18,7 +18,7 @@ from jax.sharding import SingleDeviceSharding
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
 from bojax.engine import program_cache
-from bojax.engine.choices import Choices, compile_again
+from bojax.engine.autotuning import Choices, compile_again
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
 from bojax.engine.program_cache import Loaded, Program, Traced

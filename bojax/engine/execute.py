@@ -53,7 +53,7 @@ def execute(
     sys.setswitchinterval(min(before, SWITCH_SECONDS))
     executor = _Executor(tasks, workers, progress, stop)
     try:
-        yield from executor.ended()
+        yield from executor.finished_tasks()
     finally:
         executor.close()
         sys.setswitchinterval(before)
@@ -95,7 +95,7 @@ class _Executor:
         for worker in self._workers:
             worker.start()
 
-    def ended(self) -> Iterator[GroupTask]:
+    def finished_tasks(self) -> Iterator[GroupTask]:
         """Yield the groups as they end. The calling thread shows the progress meanwhile."""
         left, patience = self._num_tasks, PATIENCE
         while left:

@@ -17,7 +17,7 @@ from bojax.engine.devices import prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.plan import plain, plan_made_elsewhere
 from bojax.engine.signals import StopRequest
-from bojax.engine.sweep_run import SweepRun, ended, resuming
+from bojax.engine.sweep_run import SweepRun, exit_code, resuming
 from bojax.engine.targets import Target, plan_unfinished
 from bojax.results.folder import RunFolder, check_plan
 from bojax.results.status import status_of
@@ -194,7 +194,7 @@ def _run(
     waiting = [remote for remote in remotes if not _has_ended(remote)]
     for remote in remotes:
         if remote not in waiting:
-            _conclude(remote, finish)
+            _finalise(remote, finish)
     if waiting:
         try:
             folders = [remote.target.path for remote in waiting]
@@ -213,7 +213,7 @@ def _run(
     runs = [remote.run for remote in remotes if remote.run is not None]
     if not stop and (len(runs) < len(remotes) or any(run.merged is None for run in runs)):
         raise EngineError(f"the workers have ended early; to go on: {resuming(command, paths)}", FAILURE)
-    return ended(runs, command, stop)
+    return exit_code(runs, command, stop)
 
 
 def _plan(remote: _Remote, command: Sequence[str]) -> None:
@@ -246,9 +246,9 @@ def _has_ended(remote: _Remote) -> bool:
     return not remote.run.left
 
 
-def _conclude(remote: _Remote, finish: Callable[[Path], Any]) -> None:
+def _finalise(remote: _Remote, finish: Callable[[Path], Any]) -> None:
     assert remote.run is not None
-    remote.run.conclude(lambda text: print(text, file=sys.stderr), finish)
+    remote.run.finalise(lambda text: print(text, file=sys.stderr), finish)
 
 
 def _wait(
@@ -276,7 +276,7 @@ def _wait(
             _plan(remote, command)
             if _has_ended(remote):
                 waiting.remove(remote)
-                _conclude(remote, finish)
+                _finalise(remote, finish)
         if left is not None and (launcher.all_refused or time.monotonic() - left > LATE_SECONDS):
             return
         if waiting:

@@ -13,7 +13,7 @@ from bojax.engine.errors import EngineError
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.signals import StopRequest
-from bojax.engine.sweep_run import SweepRun, ended
+from bojax.engine.sweep_run import SweepRun, exit_code
 from bojax.engine.targets import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
 from bojax.results.store import ResultsError
@@ -82,7 +82,7 @@ def _run(
             run.open()
         if runs:
             _execute(runs, devices, finish, stop)
-        return ended(runs, command, stop) if runs else 0
+        return exit_code(runs, command, stop) if runs else 0
     finally:
         for run in runs:
             run.close()
@@ -118,7 +118,7 @@ def _execute(
             run = run_of[task]
             left[run] -= 1
             if not left[run] and several:
-                run.conclude(progress.say, finish)  # while the other sweeps run
+                run.finalise(progress.say, finish)  # while the other sweeps run
     for run in runs if not stop else ():
         if not left[run] and run.merged is None:  # also one that was killed before it was merged
-            run.conclude(lambda text: print(text, file=sys.stderr), finish)
+            run.finalise(lambda text: print(text, file=sys.stderr), finish)

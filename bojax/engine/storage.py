@@ -13,7 +13,7 @@ from pathlib import Path
 
 from typing_extensions import override
 
-from bojax.engine.choices import Choices
+from bojax.engine.autotuning import Choices
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup

@@ -9,7 +9,7 @@ from typing import Any
 
 from bojax.config.errors import printable
 from bojax.config.saved_sweep import saved
-from bojax.engine.choices import programs_in
+from bojax.engine.autotuning import programs_in
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import FAILURE
 from bojax.engine.groups import StaticGroup
@@ -109,7 +109,7 @@ class SweepRun:
         """Note when a group is compiled and run, also later than now."""
         self._progress[group.index] = progress
 
-    def conclude(self, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
+    def finalise(self, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
         """Merge the sweep, say how it ended, and finish it unless a chunk has failed.
 
         Args:
@@ -210,7 +210,7 @@ def resuming(command: Sequence[str], paths: Sequence[Path]) -> str:
     return shlex.join(given)
 
 
-def ended(runs: Sequence[SweepRun], command: Sequence[str], stop: StopRequest) -> int:
+def exit_code(runs: Sequence[SweepRun], command: Sequence[str], stop: StopRequest) -> int:
     """The exit code of a command. If it was interrupted, note this and print the command that resumes it."""
     if not stop:
         return FAILURE if any(run.has_failed for run in runs) else 0

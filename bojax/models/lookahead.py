@@ -18,8 +18,8 @@ from jaxtyping import Array, Bool, Float
 
 from bojax.models import lookahead_kernels as kernels
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.numerics.kernels import either
 from bojax.numerics.linalg import guarded_cholesky, matmul
+from bojax.numerics.pallas import either
 
 
 class LookaheadRoot(eqx.Module):

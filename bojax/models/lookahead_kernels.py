@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from bojax.numerics.kernels import kernels_run_here, launch
 from bojax.numerics.linalg import HIGHEST
+from bojax.numerics.pallas import kernels_run_here, launch
 
 BAND = 32  # rows and columns of the blocks of L^-1 that a kernel reads
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bojax.numerics.kernels import kernels_run_here
 from bojax.numerics.lanes import batched_together
+from bojax.numerics.pallas import kernels_run_here
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.kernel.small_factors import small_factors

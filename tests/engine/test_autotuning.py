@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bojax.config.sweep import load_config
-from bojax.engine import choices
-from bojax.engine.choices import XLA_FOLDER, Choices, compile_again, fingerprint, programs_in
+from bojax.engine import autotuning
+from bojax.engine.autotuning import XLA_FOLDER, Choices, compile_again, fingerprint, programs_in
 from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program
 from bojax.engine.storage import FolderStorage
@@ -97,7 +97,7 @@ def test_choices_are_offered_as_they_are_published_and_overwrite_none(tmp_path, 
 
 @pytest.mark.parametrize("name", ["../stolen.pb", "/stolen.pb", "a/../../stolen.pb", ".hidden.pb"])
 def test_no_name_leads_out_of_xla_s_folder(tmp_path, xla, monkeypatch, name):
-    monkeypatch.setattr(choices, "_known_to_xla", lambda: {name: base64.b64encode(b"x").decode()})
+    monkeypatch.setattr(autotuning, "_known_to_xla", lambda: {name: base64.b64encode(b"x").decode()})
     Choices(tmp_path / "plan").settle("0-8-advance", Made("a"), never)
     before = {path for path in tmp_path.rglob("*")}
     Choices(tmp_path / "plan").offer()
@@ -119,7 +119,7 @@ def test_a_process_that_was_not_the_first_compiles_again_with_the_choices_of_the
     first = program.compile("factor", DEVICE)
     Choices(tmp_path / "plan").settle("0-8-advance", first, never)
     choose(xla, dot="tile 16")
-    monkeypatch.setattr(choices.subprocess, "run", counted)
+    monkeypatch.setattr(autotuning.subprocess, "run", counted)
     again = Choices(tmp_path / "plan").settle(
         "0-8-advance", Made("tile 16"), partial(compile_again, program, DEVICE)
     )

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from bojax.numerics.kernels import either, kernels_run_here
+from bojax.numerics.pallas import either, kernels_run_here
 
 
 @pytest.mark.parametrize(
