@@ -10,6 +10,7 @@ import io
 import os
 import platform
 import signal
+import stat
 import sys
 import threading
 from collections.abc import Sequence
@@ -134,8 +135,11 @@ def _run_to_the_end(words: list[str]) -> int:
 
 def _end_output(error: OSError) -> int:
     """Give up standard output, which Python would write to again on exit, and return the exit code."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    if isinstance(error, BrokenPipeError):  # `bojax list | head`
+    output = sys.stdout.fileno()
+    # Nobody reads any more: `bojax list | head`, or a terminal that was closed under `nohup bojax ...`.
+    is_closed_terminal = error.errno == errno.EIO and stat.S_ISCHR(os.fstat(output).st_mode)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+    if isinstance(error, BrokenPipeError) or is_closed_terminal:
         return 0
     print(f"error: standard output cannot be written: {error.strerror}", file=sys.stderr)
     return 1

@@ -118,7 +118,7 @@ class Choices:
                 published = set(self._published)
             new = {name: value for name, value in _known_to_xla().items() if name not in published}
             own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
-            write_checked_json(own, {"program": content, "choices": new})
+            write_checked_json(own, {"program": content, "choices": new}, path.name)
             with contextlib.suppress(FileExistsError):
                 link(own, path)  # of several processes, one succeeds
             own.unlink()

@@ -132,7 +132,7 @@ class RunFolder:
         own = self.work / f".{_PLAN}-{secrets.token_hex(6)}"
         if self.plan() is None:
             self.describe(device)
-            write_checked_json(own, plan)
+            write_checked_json(own, plan, _PLAN)
             with contextlib.suppress(FileExistsError):
                 link(own, self.work / _PLAN)  # of several, one succeeds
             own.unlink()

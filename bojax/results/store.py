@@ -183,16 +183,22 @@ def read_json(path: Path) -> Any:
         raise ResultsError(f"{path}: cannot be read ({error}): was it truncated?") from error
 
 
-def write_checked_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as a JSON file with a checksum, in one line: Python is slow to indent."""
+def write_checked_json(path: Path, content: Mapping[str, Any], name: str | None = None) -> None:
+    """Write a mapping as a JSON file with a checksum, in one line: Python is slow to indent.
+
+    Args:
+        path: The file.
+        content: The mapping.
+        name: Name under which the file is read, if it is another one: another file's content is refused.
+    """
     plain = _finite(dict(content))
-    write_json(path, {**plain, CHECKSUM: _digest(plain)}, indent=None)
+    write_json(path, {**plain, CHECKSUM: _digest(plain, name or path.name)}, indent=None)
 
 
 def read_checked_json(path: Path) -> dict[str, Any]:
     """Read a file of `write_checked_json`, or raise a `ResultsError` if a value has changed."""
     content = read_json(path)
-    if not isinstance(content, dict) or content.pop(CHECKSUM, None) != _digest(content):
+    if not isinstance(content, dict) or content.pop(CHECKSUM, None) != _digest(content, path.name):
         raise ResultsError(f"{path}: the content does not match the checksum")
     return content
 
@@ -288,8 +294,8 @@ def _require_file(path: Path) -> None:
         raise ResultsError(f"{path}: cannot be read: not a regular file")
 
 
-def _digest(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+def _digest(content: Any, name: str) -> str:
+    return hashlib.sha256(json.dumps([name, content]).encode()).hexdigest()
 
 
 def _finite(value: Any) -> Any:

@@ -5,6 +5,7 @@ import io
 import json
 import os
 import platform
+import pty
 import shlex
 import subprocess
 import sys
@@ -199,6 +200,15 @@ def test_a_finished_sweep_whose_output_is_closed_writes_its_report(here):
         process.stdin.close()
         assert (process.stderr.read(), process.wait()) == (b"", 0)
     assert (here / "report.html").exists()
+
+
+def test_a_terminal_that_was_closed_reads_no_more():
+    """As under `nohup bojax ...` in a terminal that is closed."""
+    ours, theirs = pty.openpty()
+    os.close(ours)
+    done = subprocess.run([sys.executable, "-m", "bojax", "--version"], stdout=theirs, stderr=subprocess.PIPE)
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_output_on_a_full_disk_is_an_error_once_the_results_are_written(monkeypatch, capsys):

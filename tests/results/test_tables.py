@@ -278,6 +278,10 @@ def test_a_changed_digit_in_a_checked_file_is_detected(tmp_path):
         path.write_text(text.replace(old, new))
         with pytest.raises(ResultsError, match="checksum"):
             read_checked_json(path)
+    path.write_text(text)
+    path.rename(tmp_path / "b.json")  # whole, in the place of another file
+    with pytest.raises(ResultsError, match="checksum"):
+        read_checked_json(tmp_path / "b.json")
 
 
 def test_fingerprint(tmp_path):
