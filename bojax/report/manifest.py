@@ -5,6 +5,7 @@ them, stay plain values (`Unread`): a report without them is better than none.
 """
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -204,7 +205,11 @@ def read(manifest: Any, path: str) -> Manifest:
 def validated(schema: type[T], content: Any, path: str) -> T:
     """The content of a JSON file as a schema describes it."""
     try:
-        return pydantic.TypeAdapter(schema).validate_python(content)
+        # JSON can spell unpaired surrogates, but no page can hold them, and pydantic cannot show them.
+        plain = json.loads(json.dumps(content, ensure_ascii=False).encode(errors="replace"))
+        return pydantic.TypeAdapter(schema).validate_python(plain)
+    except RecursionError:
+        raise ResultsError(f"{path}: its values are nested too deeply") from None
     except pydantic.ValidationError as error:
         raise ResultsError(str(from_validation(error, lambda place: f"{path}: {_indexed(place)}"))) from error
 

@@ -158,6 +158,14 @@ def test_manifests_of_other_types_are_refused(tmp_path):
     assert "no manifest.json" in refusal(folder)
 
 
+def test_half_a_surrogate_pair_is_a_mark_on_the_page(tmp_path):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    edit_manifest(folder, lambda m: m["points"][0]["config"]["problem"].update(kind="\ud800"))
+    edit_manifest(folder, lambda m: m.update(title="half \udc00"))
+    assert main(["report", str(folder)]) == 0
+    assert "half ?" in (folder / "report.html").read_text()
+
+
 def test_latencies_that_are_damaged_or_of_other_settings_are_refused(tmp_path):
     folder = write_results(tmp_path / "results", runs=2, recorded=0)
     for content, told in {
