@@ -34,9 +34,8 @@ def check(seed: int) -> Outcome:
         words = ["report", "out"] if is_report else ["render", "out", "--still", "still.png"]
         ended = run(lambda: cli(*words), place)
         tried = f"{words[0]} of {name}: {'; '.join(done)}"
-        is_damaged = any(
-            (folder / found[1]).exists() for found in _REFUSED.finditer(tried)
-        )  # not deleted since
+        # A second edit may have deleted the table.
+        is_damaged = any((folder / found[1]).exists() for found in _REFUSED.finditer(tried))
         if ended.code == 0 and is_report and is_damaged:
             return Outcome(tried, "a page is built of it")
         fault = fault_of(ended, (0, 1, 2))
