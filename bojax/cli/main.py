@@ -198,6 +198,9 @@ def leave(code: int) -> NoReturn:
     operating system. Daemon threads that are still alive may be inside XLA or CUDA, where Python cannot end:
     the process then leaves at once, without the functions of `atexit`.
     """
+    # The command is over: a Ctrl-C ends the process, and does not interrupt what Python does on exit.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     others = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
     is_alone = "jax" in sys.modules and not others
     if is_alone:

@@ -7,6 +7,7 @@ import os
 import platform
 import pty
 import shlex
+import signal
 import subprocess
 import sys
 import threading
@@ -200,6 +201,27 @@ def test_a_finished_sweep_whose_output_is_closed_writes_its_report(here):
         process.stdin.close()
         assert (process.stderr.read(), process.wait()) == (b"", 0)
     assert (here / "report.html").exists()
+
+
+SLOW_EXIT = """
+import atexit, signal, sys, time
+import bojax.cli.main as m
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may start background jobs that ignore it
+atexit.register(time.sleep, 30.0)
+atexit.register(print, "over", flush=True)
+m.dispatch = lambda words: 0
+sys.argv = ["bojax", "list"]
+m.entry()
+"""
+
+
+def test_a_ctrl_c_on_exit_ends_without_a_traceback(here):
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", SLOW_EXIT], stdout=pipe, stderr=pipe) as process:
+        assert process.stdout and process.stderr
+        assert process.stdout.readline() == b"over\n"
+        process.send_signal(signal.SIGINT)
+        assert (process.stderr.read(), process.wait()) == (b"", -signal.SIGINT)
 
 
 def test_a_terminal_that_was_closed_reads_no_more():
