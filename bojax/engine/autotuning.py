@@ -182,22 +182,21 @@ def compile_again(program: Program, device: Device, choices: Mapping[str, str]) 
     Another process does so, to which this one's own choices are not known. JAX's cache hands over the result.
     """
     cache = folder_of("")
-    if cache is None:
+    if cache is None or program.exported is None:
         return None
     digest = hashlib.sha256(json.dumps(sorted(choices.items())).encode()).hexdigest()[:16]
     folder = cache / "choices" / digest
     for name, content in choices.items():
         _write_if_missing(folder, name, content)
     try:
-        exported = program if program.exported is not None else program.export(device)
         with tempfile.NamedTemporaryFile(suffix=".program") as file:
-            file.write(exported.serialized())
+            file.write(program.serialized())
             file.flush()
             command = [sys.executable, "-m", __name__, file.name, str(cache), device.platform, str(folder)]
             subprocess.run(command, check=True, stdin=subprocess.DEVNULL, capture_output=True)
-    except Exception:  # a program that calls this process, or the other process has no memory on the device
+    except Exception:  # the other process has no memory on the device
         return None
-    return exported.compile(_AGAIN, device, **{XLA_FOLDER: str(folder)})
+    return program.compile(_AGAIN, device, **{XLA_FOLDER: str(folder)})
 
 
 _AGAIN = "compiled_again"

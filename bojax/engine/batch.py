@@ -159,7 +159,7 @@ class Programs:
         if choices is not None:
             choices.offer()  # before XLA compiles and chooses for itself
         loaded, self.is_saved, self.compile_seconds = obtain(
-            key, device, partial(self._trace, wider), started
+            key, device, partial(self._trace, wider), started, are_remade=choices is not None
         )
         self.carry_structure = on_device(list(loaded.carry), device)
         self._programs = dict(loaded.programs)
@@ -309,7 +309,12 @@ class Obtained(NamedTuple):
 
 
 def obtain(
-    key: str | None, device: Device, trace: Callable[[], Traced], started: Callable[[], None] = lambda: None
+    key: str | None,
+    device: Device,
+    trace: Callable[[], Traced],
+    started: Callable[[], None] = lambda: None,
+    *,
+    are_remade: bool = False,
 ) -> Obtained:
     """Load the programs of a group, or trace, compile and save them.
 
@@ -318,6 +323,7 @@ def obtain(
         device: The device.
         trace: Makes the programs. Those that cannot be saved are traced when they are compiled.
         started: Called when tracing starts, after that of others, or when saved programs are loaded.
+        are_remade: Whether another process may have to make the same programs, see `compile_again`.
     """
     start = time.perf_counter()
     if held := program_cache.held_programs(key, device):  # an earlier round of a search
@@ -338,6 +344,9 @@ def obtain(
                 kept = {name: program_cache.load_program(key, name) for name in programs}
                 saved.update(name for name, program in kept.items() if program is not None)
                 programs = {name: kept[name] or each.export(device) for name, each in programs.items()}
+            elif are_remade:
+                # XLA makes something else of a program than of its export, which is all another process gets.
+                programs = {name: _exported(each, device) for name, each in programs.items()}
     ready = {}
     for name, program in programs.items():
         ready[name], is_hit = program_cache.compiled(key, name, program, device)
@@ -351,6 +360,14 @@ def obtain(
     if key is not None and are_saved and found is None:
         are_saved = program_cache.save(key, list(programs), len(carry))
     return Obtained(loaded, are_saved, time.perf_counter() - start)
+
+
+def _exported(program: Program, device: Device) -> Program:
+    """The exported program; as it is if it calls this process."""
+    try:
+        return program.export(device)
+    except NotImplementedError:
+        return program
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:

@@ -17,7 +17,7 @@ from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program
 from bojax.engine.storage import FolderStorage
 from bojax.results.store import ResultsError, read_checked_json, read_manifest
-from tests.engine.drive import run_sweep
+from tests.engine.drive import run_sweep, run_toy
 from tests.engine.test_program_cache import caching_in
 
 DEVICE = jax.devices("cpu")[0]
@@ -157,6 +157,20 @@ def test_a_sweep_keeps_its_choices_and_its_manifest_names_what_was_compiled(tmp_
     first, second = (read_manifest(tmp_path / name)["programs"] for name in ("first", "second"))
     assert first == second and set(first) == {"0-4-advance", "0-4-fill", "0-4-summary"}
     assert made and (tmp_path / "first" / "runs.parquet").exists()
+
+
+def test_a_program_of_other_code_is_compiled_again_as_when_the_plan_began(tmp_path, monkeypatch):
+    # Programs of a user's module are in no cache; what XLA makes of them and of their exports differs.
+    plan = Choices(tmp_path / "plan")
+    monkeypatch.setattr(FolderStorage, "choices", property(lambda _: plan, lambda *_: None))
+    toys = {"runs": 2, "lanes_per_device": 2}
+    assert run_toy(tmp_path / "first", {"max_length": 30}, **toys) == 0
+    known = iter(["tile 16"])  # what this process remembers for the first program
+    monkeypatch.setattr(autotuning, "fingerprint", lambda made: next(known, None) or fingerprint(made))
+    assert run_toy(tmp_path / "second", {"max_length": 30}, **toys) == 0
+    assert next(known, None) is None
+    runs = [(tmp_path / name / "runs.parquet").read_bytes() for name in ("first", "second")]
+    assert runs[0] == runs[1]
 
 
 def test_programs_that_move_numbers_have_no_choices(tmp_path):

@@ -260,7 +260,7 @@ from bojax.engine import program_cache
 
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-(programs, carry), device = program_cache.load("key"), jax.devices()[0]
+(programs, carry), device = program_cache.load("key"), jax.devices("cpu")[0]
 factor, _ = program_cache.compiled("key", "factor", programs["factor"], device)
 print(carry[0].shape, *factor(np.asarray([[4, 2], [2, 5]], np.float32)).tolist())
 """
@@ -443,7 +443,7 @@ def test_several_devices_trace_a_program_once(cache, monkeypatch, tmp_path):
     monkeypatch.setattr(
         program_cache.Program, "export", lambda *given: [exported.append(given), export(*given)][1]
     )
-    sweep = load_config("chain", ["episodes=2"], 2 * SHORTEST_ON_CPU, None)
+    sweep = load_config("chain", ["episodes=2", "engine.device=cpu"], 2 * SHORTEST_ON_CPU, None)
     assert run_sweep(sweep, tmp_path / "chain", devices=[0, 1]) == 0
     assert len(used) == len(devices) == 2
     assert len(exported) == len(programs_in(cache))
