@@ -65,14 +65,31 @@ class Window(Schema, frozen=True):
         return self
 
 
+EntryClass = Literal["claim", "variant", "check"]
+"""What an entry is: a claim of the thesis, the same under other settings, or a check of something else."""
+
+
 class Claim(Schema, frozen=True):
-    """One statement of the thesis."""
+    """One statement, with the test that decides it."""
+
+    model_config = pydantic.ConfigDict(serialize_by_alias=True)
 
     id: str = Field(min_length=1, description="unique in the sweep")
     source: str = Field(description="figure or table, and page")
     claim: str = Field(description="statement in words")
     thesis: str | float | None = Field(
         default=None, union_mode="left_to_right", description="value in the thesis, a number or text"
+    )
+    entry_class: EntryClass = Field(
+        default="claim",
+        alias="class",
+        description="claim: a statement of the thesis, under the settings of the sweep; variant: the same "
+        "under other settings, or by another test; check: not in the thesis (the author's code, an exact "
+        "value, a consistency). Only claims are counted",
+    )
+    own_bound: bool = Field(
+        default=False,
+        description="whether the verdict rests on a bound, margin or window that the thesis does not print",
     )
     test: Annotated[Test, Slot("test")] = Field(description="test that decides the claim")
 
