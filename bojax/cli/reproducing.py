@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, add_running, check_launching, dry_run
-from bojax.cli.parser import Parser, UsageError, path
+from bojax.cli.parser import Parser, UsageError, at_least, path
 from bojax.cli.running import run
 from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_sweep
@@ -35,6 +35,7 @@ _EXAMPLES = """\
   bojax reproduce chapter5 --runs 20                    a quick look at a chapter
   bojax reproduce all --out results/thesis              the whole thesis
   bojax reproduce all --out results/thesis --resume     go on after an interruption
+  bojax reproduce --multiverse 4.4                      do the claims of a group depend on open choices?
   bojax reproduce --page results/thesis results/fig-4.6 --out page.md
                                                         one page from results of several commands
 """
@@ -50,6 +51,14 @@ def main(name: str, words: Sequence[str]) -> int:
                 given = "ID" if option == "ids" else f"--{option.replace('_', '-')}"
                 parser.error(f"{given}: not allowed with --page, which runs nothing")
         return _join(args)
+    if args.multiverse is not None:
+        if args.ids or args.count_in:
+            parser.error("--multiverse: not allowed with ID or --count-in: its file names the sweeps")
+        from bojax.cli.multiverse import main as run_multiverse
+
+        return run_multiverse(name, args, words)
+    if args.configurations is not None:
+        parser.error("--configurations: needs --multiverse")
     if not args.ids:
         parser.error("the following arguments are required: ID")
     if args.count_in:
@@ -129,7 +138,8 @@ def _parser(name: str) -> Parser:
     parser = Parser(
         name,
         f"ID... [--runs N] [--seed S] [--out DIR] [--resume]{LAUNCHING_USAGE}\n"
-        f"       bojax {name} --page DIR... [--out DIR | --out FILE] [--count-in FILE]",
+        f"       bojax {name} --page DIR... [--out DIR | --out FILE] [--count-in FILE]\n"
+        f"       bojax {name} --multiverse NAME [--configurations N] [--runs N] [--out DIR] [--resume]",
         _DESCRIPTION,
         _EXAMPLES,
     )
@@ -141,5 +151,11 @@ def _parser(name: str) -> Parser:
     count = "with --page: also update the numbers of claims in a sentence of these files: Of N claims ..., N "
     count += "are reproduced, N are not, and N are inconclusive"
     parser.option("--count-in", "FILE", count, path, nargs="+", default=[])
+    multiverse = (
+        "test the claims under the choices that a paper leaves open: a file, or a name in sweeps/multiverse"
+    )
+    parser.option("--multiverse", "NAME", multiverse)
+    most = "with --multiverse: run at most this many further configurations (default: all)"
+    parser.option("--configurations", "N", most, at_least(1))
     add_launching(parser)
     return parser

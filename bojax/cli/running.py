@@ -140,10 +140,12 @@ def run(
     command: list[str],
     *,
     launching: Namespace = INLINE,
+    reports: bool = True,
 ) -> int:
     """Run resolved sweeps, write their reports, and return the exit code of `bojax.engine.run.run_sweeps`.
 
-    A folder is None for `results/NAME/TIME`. `launching` has the options of `add_launching`.
+    A folder is None for `results/NAME/TIME`. `launching` has the options of `add_launching`. Without
+    `reports`, a sweep ends with its tables.
     """
     from bojax.engine.signals import StopRequest, stop_with_parent
 
@@ -166,16 +168,16 @@ def run(
         stop_with_parent()
     launcher, devices = launcher_of(launching)
     requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
-    with launcher or nullcontext(), Reports(in_background=len(sweeps) > 1) as reports:
+    with launcher or nullcontext(), Reports(in_background=reports and len(sweeps) > 1) as writer:
         code = run_sweeps(
             requests,
             resume,
             command,
-            finish=reports.write,
+            finish=writer.write if reports else lambda _: None,
             launcher=launcher,
             indices=devices,
-            planned=reports.prepare,
+            planned=writer.prepare if reports else lambda: None,
         )
         if code >= 128:
-            reports.stop()
-    return code or reports.exit_code
+            writer.stop()
+    return code or writer.exit_code

@@ -1,6 +1,7 @@
 """Loading a sweep: its file is read, overridden, expanded into points, validated and checked."""
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -8,14 +9,14 @@ from typing import Annotated, Any
 
 import pydantic
 
-from bojax.config.axes import Combination, expand, read_axes, split_overrides
+from bojax.config.axes import Combination, expand, look_up, read_axes, split_overrides
 from bojax.config.claims import Claim
 from bojax.config.component import RECORDED, Component, Slot, merged
 from bojax.config.errors import ConfigError, Location, dotted, from_validation, shown
 from bojax.config.files import shipped
 from bojax.config.limits import COUNT, RUNS, counts_of
 from bojax.config.origin import Origin
-from bojax.config.overrides import SOURCE, Override, apply, parse_overrides
+from bojax.config.overrides import SOURCE, Override, apply, assign, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
 from bojax.config.sweep_checks import check_sweep
 from bojax.config.sweep_file import Source, Written, read_config, read_sweep
@@ -93,6 +94,77 @@ def load_config(
     """The experiment of a file in `configs/`, as a sweep of one point; see `load_sweep`."""
     written = read_config(source)
     return _expanded(written, _changes(overrides, runs, seed), [()], 1)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting of a variation of a sweep, which overrides the sweep's own, those of its axes included."""
+
+    path: tuple[str, ...]
+    value: Any
+    of: tuple[str, ...] = ()  # labels or variants of the points that get it; all points that have it if empty
+    origin: str = "variation"  # what sets it, for messages
+
+    def is_of(self, point: Point, experiment: Mapping[str, Any]) -> bool:
+        """Whether a point of the sweep, whose raw experiment is given, gets this setting."""
+        is_named = not self.of or bool({point.label, point.variant} & {*self.of})
+        return is_named and look_up(experiment, self.path) is not None
+
+
+def vary(
+    source: Source,
+    axis: str,
+    variations: Mapping[int, Sequence[Setting]],
+    runs: int | None = None,
+    seed: int | None = None,
+) -> Sweep:
+    """A sweep with all its points once for each variation, one variation after the other.
+
+    Args:
+        source: The sweep: a name, a path, or the content of a file.
+        axis: Name of the column with the number of the variation.
+        variations: The settings of each variation, by its number.
+        runs: Overrides `runs`.
+        seed: Overrides `seed`.
+
+    Raises:
+        ConfigError: The sweep or a setting is invalid.
+    """
+    written = read_sweep(source)
+    own = load_sweep(source, (), runs, seed)
+    combinations = read_axes(written.content.axes, written.content.combine, written.file)
+    experiments = expand(split(written.base)[1], combinations, (), written.file)
+    known: dict[str, Component] = {}
+    points: list[Point] = []
+    for number, settings in variations.items():
+        for point, raw in zip(own.points, experiments, strict=True):
+            varied, origins = raw, dict[tuple[str, ...], str]()
+            for each in settings:
+                if each.is_of(point, varied):
+                    if each.path in origins:
+                        raise ConfigError(
+                            f"{each.origin}: sets {dotted(each.path)} of {point.variant}, which "
+                            f"{origins[each.path]} sets too"
+                        )
+                    origins[each.path] = each.origin
+                    varied = assign(varied, each.path, each.value, each.origin)
+            key = json.dumps(varied, sort_keys=True, default=str)
+            if key not in known:
+                locate = partial(_origin_in, origins, point.variant)
+                try:
+                    known[key] = validate_experiment(varied)
+                except pydantic.ValidationError as error:
+                    raise from_validation(error, locate) from error
+            swept = {**point.swept, axis: number}
+            points.append(Point(len(points), known[key].label, point.variant, swept, known[key]))
+    RUNS.check(own.runs * len(points), f"{written.file}: runs")
+    return replace(own, points=tuple(points), published=None)
+
+
+def _origin_in(origins: Mapping[tuple[str, ...], str], variant: str, location: Location) -> str:
+    """Where a setting of a varied point comes from, for messages."""
+    above = [origin for path, origin in origins.items() if path == location[: len(path)]]
+    return f"{above[-1] if above else '; '.join(origins.values())}: {dotted(location)} of {variant}"
 
 
 def load_published(name: str) -> Sweep:

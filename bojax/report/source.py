@@ -181,6 +181,16 @@ class Results:
             raise ResultsError(f"{path}: measured for other settings than those of this folder")
         return found
 
+    def only(self, points: Sequence[Point]) -> "Results":
+        """The results of some neighbouring points; the tables are views of those of all points."""
+        part = replace(self, points=tuple(points))
+        first, last = points[0].index, points[-1].index
+        for name in ("runs", "steps", "episodes"):
+            table: Columns = getattr(self, name)
+            low, high = np.searchsorted(table["point"], [first, last + 1]) if table else (0, 0)
+            part.__dict__[name] = Columns({key: column[low:high] for key, column in table.items()})
+        return part
+
     @property
     def return_column(self) -> str:
         """The column of `runs.parquet` that is the return of a run, or of its last training episode."""

@@ -1,0 +1,271 @@
+"""The outcomes of a multiverse analysis: the verdict of each claim in each configuration.
+
+`multiverse.json` grows block by block, and does not depend on the blocks: an analysis that was interrupted, or that is
+continued on another machine from this file alone, ends in the same bytes.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bojax.claims.multiverse.declaration import AXIS, Declaration, content_of
+from bojax.config.claims import Claim, EntryClass
+from bojax.report import statistics
+from bojax.report.findings import Verdict, evaluate
+from bojax.report.manifest import Count, Recorded, validated
+from bojax.report.source import Results, load
+from bojax.results.store import ResultsError, make_folder, read_json, write_json
+
+FILE = "multiverse.json"
+
+CODES: dict[Verdict, str] = {"reproduced": "r", "not reproduced": "n", "inconclusive": "i"}
+FAILED = "x"
+"""Code of a claim that a configuration could not test, such as for runs that failed."""
+
+
+class ClaimOutcomes(Recorded):
+    """The outcomes of one claim, in the order of the configurations."""
+
+    id: str
+    sweep: str
+    entry_class: EntryClass = "claim"
+    own_bound: bool = False
+    source: str | None = None
+    claim: str
+    thesis: Any = None
+    verdicts: str = ""  # a letter for each configuration, see `CODES`
+    estimates: list[float | None] = []  # of the quantity that decides the claim
+    low: list[float | None] = []  # bounds of its interval
+    high: list[float | None] = []
+    ours: list[float | None] = []  # counterpart of a printed number
+
+    def share(self, mask: NDArray[np.bool_] | None = None) -> statistics.Interval:
+        """The share of the configurations in which the claim holds, with Wilson's interval."""
+        holds = np.frombuffer(self.verdicts.encode(), "S1") == b"r"
+        return statistics.share_interval(holds if mask is None else holds[mask])
+
+    def count(self, code: str) -> int:
+        """The number of configurations with this code."""
+        return self.verdicts.count(code)
+
+    @property
+    def strength(self) -> str:
+        """`robust`, `fragile` or `contrary`, see `strength_of`."""
+        return strength_of(self)
+
+
+class Confirmed(Recorded):
+    """The sweep's own and the best configuration, on fresh seeds."""
+
+    runs: Count
+    seed: Count
+    own: dict[str, str]  # verdict of each claim by id, as a code
+    best: dict[str, str]
+
+
+class Multiverse(Recorded):
+    """The outcomes of an analysis so far."""
+
+    name: str
+    declaration: dict[str, Any]
+    configurations: list[list[int]] = []  # value of each choice, by the number of the configuration
+    done: list[int] = []  # numbers of the configurations that were evaluated, in ascending order
+    claims: list[ClaimOutcomes] = []
+    best: int | None = None  # number of the best configuration, once all are evaluated
+    confirmed: Confirmed | None = None
+
+    @property
+    def levels(self) -> NDArray[np.int64]:
+        """The value of each choice in the evaluated configurations, `[configurations, choices]`."""
+        return np.asarray(self.configurations, np.int64)[self.done]
+
+    @property
+    def counted(self) -> list[ClaimOutcomes]:
+        """The entries that are claims."""
+        return [claim for claim in self.claims if claim.entry_class == "claim"]
+
+    def holding(self) -> NDArray[np.int64]:
+        """The number of claims that hold in each evaluated configuration."""
+        table = np.array([[code == "r" for code in claim.verdicts] for claim in self.counted])
+        return table.sum(axis=0) if table.size else np.zeros(len(self.done), np.int64)
+
+
+def strength_of(claim: ClaimOutcomes) -> str:
+    """How far a claim depends on the choices.
+
+    `robust`: it holds in more than three quarters of the configurations. `contrary`: it holds in less than a
+    quarter, and the opposite is shown in more than half. `fragile`: everything else.
+    """
+    total = max(1, len(claim.verdicts))
+    holds, fails = claim.count("r") / total, claim.count("n") / total
+    if holds > 0.75:
+        return "robust"
+    return "contrary" if holds < 0.25 and fails > 0.5 else "fragile"
+
+
+def begin(declaration: Declaration) -> Multiverse:
+    """An analysis without outcomes."""
+    return Multiverse(
+        name=declaration.name,
+        declaration=dict(content_of(declaration)),
+        configurations=[list(levels) for levels in declaration.configurations],
+    )
+
+
+def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
+    """The outcomes in a folder; without a file, those of an analysis that begins.
+
+    Raises:
+        ResultsError: The file is damaged, or is that of another declaration.
+    """
+    path = folder / FILE
+    if declaration is not None and not path.exists():
+        return begin(declaration)
+    found = validated(Multiverse, read_json(path), str(path))
+    if declaration is not None and found.declaration != begin(declaration).declaration:
+        raise ResultsError(
+            f"{path}: was made by another version of {declaration.name}; allowed: the declaration that the "
+            "analysis began with, or a new --out"
+        )
+    lengths = {len(each) for claim in found.claims for each in (claim.verdicts, claim.estimates, claim.ours)}
+    if lengths - {len(found.done)}:
+        raise ResultsError(f"{path}: is damaged: delete it, and run again with --resume")
+    return found
+
+
+def write(folder: Path, multiverse: Multiverse) -> None:
+    """Write the file, whole or not at all."""
+    make_folder(folder)
+    write_json(folder / FILE, multiverse.model_dump(mode="json"), indent=None)
+
+
+def evaluated(
+    declaration: Declaration, folders: Mapping[str, Path], numbers: Sequence[int]
+) -> dict[int, list[tuple[Claim, str, dict[str, Any]]]]:
+    """The claims of these configurations, each with its sweep and its entry of `claims.json`.
+
+    Args:
+        declaration: The analysis.
+        folders: Results of each sweep, whose points have these configurations.
+        numbers: The configurations.
+    """
+    found: dict[int, list[tuple[Claim, str, dict[str, Any]]]] = {number: [] for number in numbers}
+    for source in declaration.file.sweeps:
+        results = load(folders[source])
+        claims = [claim for claim in results.claims if isinstance(claim, Claim)]
+        tested = [claim for claim in claims if claim.test.kind != "latency"]
+        results = replace(results, manifest=results.manifest)
+        results.__dict__["claims"] = tuple(tested)
+        for number in numbers:
+            entries = evaluate(configuration_of(results, number))
+            found[number] += [(claim, source, entry) for claim, entry in zip(tested, entries, strict=True)]
+    return found
+
+
+def configuration_of(results: Results, number: int) -> Results:
+    """The results of one configuration."""
+    points = [
+        replace(point, name=point.variant, swept={k: v for k, v in point.swept.items() if k != AXIS})
+        for point in results.points
+        if point.swept[AXIS] == number
+    ]
+    part = results.only(points)
+    part.__dict__["claims"] = results.claims
+    return part
+
+
+def extended(
+    multiverse: Multiverse, found: Mapping[int, Iterable[tuple[Claim, str, dict[str, Any]]]]
+) -> Multiverse:
+    """The outcomes with those of further configurations."""
+    by_id = {claim.id: claim for claim in multiverse.claims}
+    order = sorted({*multiverse.done, *found})
+    rows: dict[str, dict[int, Row]] = {}
+    for claim in multiverse.claims:
+        numbers = zip(claim.estimates, claim.low, claim.high, claim.ours, strict=True)
+        entries = zip(claim.verdicts, map(list, numbers), strict=True)
+        rows[claim.id] = dict(zip(multiverse.done, entries, strict=True))
+    for number, entries in found.items():
+        for claim, sweep, entry in entries:
+            if claim.id not in by_id:
+                by_id[claim.id] = ClaimOutcomes(
+                    id=claim.id,
+                    sweep=sweep,
+                    entry_class=claim.entry_class,
+                    own_bound=claim.own_bound,
+                    source=claim.source,
+                    claim=claim.claim,
+                    thesis=claim.thesis,
+                )
+            rows.setdefault(claim.id, {})[number] = _row(entry)
+    claims = []
+    for name, claim in by_id.items():
+        verdicts, numbers = zip(*(rows[name][number] for number in order), strict=True)
+        columns = dict(
+            zip(("estimates", "low", "high", "ours"), map(list, zip(*numbers, strict=True)), strict=True)
+        )
+        claims.append(claim.model_copy(update={"verdicts": "".join(verdicts), **columns}))
+    extended = multiverse.model_copy(update={"done": order, "claims": claims})
+    if len(order) == len(multiverse.configurations):
+        extended = extended.model_copy(update={"best": best_of(extended)})
+    return extended
+
+
+def verdicts_of(entries: Iterable[tuple[Claim, str, dict[str, Any]]]) -> dict[str, str]:
+    """The code of each claim of a configuration, by id."""
+    return {claim.id: _row(entry)[0] for claim, _, entry in entries}
+
+
+Row = tuple[str, list[float | None]]
+"""The code of a claim in a configuration; its estimate, the bounds of its interval, and a printed number's."""
+
+
+def _row(entry: Mapping[str, Any]) -> Row:
+    comparisons = entry["test"].get("comparisons") or []
+    interval, ours = entry["interval"], entry["ours"]
+    decisive = next((each["estimate"] for each in comparisons if each["interval"] == interval), None)
+    low, high = interval or (None, None)
+    code = FAILED if "reason" in entry["test"] else CODES[entry["verdict"]]
+    printed = ours if isinstance(ours, int | float) else None
+    numbers = [None if each is None else float(f"{each:.6g}") for each in (decisive, low, high, printed)]
+    return code, numbers
+
+
+def best_of(multiverse: Multiverse) -> int:
+    """The configuration in which most claims hold; of several, the one nearest to the printed numbers."""
+    holding = multiverse.holding()
+    distances = [distance(multiverse.counted, place) for place in range(len(multiverse.done))]
+    places = range(len(multiverse.done))
+    best = min(places, key=lambda place: (-int(holding[place]), distances[place], place))
+    return multiverse.done[best]
+
+
+def distance(claims: Iterable[ClaimOutcomes], place: int) -> float:
+    """The mean relative distance from the numbers of the thesis, each at most 1; 0 if it prints none."""
+    apart = []
+    for claim in claims:
+        if not isinstance(claim.thesis, int | float) or isinstance(claim.thesis, bool) or not claim.thesis:
+            continue
+        ours = claim.ours[place]
+        apart.append(1.0 if ours is None else min(1.0, abs(ours - claim.thesis) / abs(claim.thesis)))
+    return math.fsum(apart) / len(apart) if apart else 0.0
+
+
+def effects(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, list[statistics.Interval]]:
+    """The share of configurations in which a claim holds, for each value of each choice."""
+    levels = multiverse.levels
+    found = {}
+    for column, (name, choice) in enumerate(multiverse.declaration["choices"].items()):
+        sizes = range(len(choice["values"]))
+        found[name] = [
+            claim.share(levels[:, column] == level)
+            if (levels[:, column] == level).any()
+            else statistics.Interval(math.nan, math.nan, math.nan)
+            for level in sizes
+        ]
+    return found

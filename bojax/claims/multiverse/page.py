@@ -1,0 +1,174 @@
+"""The page of a multiverse analysis: shares by claim, effects of the choices, and the best configuration."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from bojax.claims.multiverse import figures
+from bojax.claims.multiverse.outcomes import CODES, FAILED, ClaimOutcomes, Multiverse, effects
+from bojax.report import style
+from bojax.report.drawing.base import Drawing
+from bojax.report.statistics import Interval
+from bojax.report.template import fill
+from bojax.report.text import counted, joined
+from bojax.results.store import make_folder, write_content
+
+_WORDS = {"r": "holds", "n": "does not hold", "i": "inconclusive", FAILED: "not tested"}
+
+
+def write_page(multiverse: Multiverse, title: str, reading: str, page: Path) -> Path:
+    """Write the page, `.html` or `.md`, and its figures into the folder `figures` beside it.
+
+    Args:
+        multiverse: The outcomes, which may be those of some of the configurations.
+        title: Title of the page.
+        reading: A paragraph on the best configuration.
+        page: The file.
+    """
+    with style.settings():
+        drawings = {
+            "shares": figures.shares(multiverse).encoded(),
+            "together": figures.count_curve(multiverse).encoded(),
+            "effects": figures.effect_map(multiverse).encoded(),
+        }
+        curves = dict[str, Drawing]()
+        for number, claim in enumerate(multiverse.counted, 1):
+            if (drawing := figures.claim_curve(multiverse, claim)) is not None:
+                curves[f"claim-{number:03d}"] = drawing.encoded()
+    make_folder(page.parent)
+    named = {f"{multiverse.name}-{name}": each.files for name, each in {**drawings, **curves}.items()}
+    style.write_images(page.parent, named)
+    values = {
+        "name": multiverse.name,
+        "title": title,
+        "summary": _summary(multiverse),
+        "counts": [],
+        "reading": reading,
+        "drawings": drawings,
+        "curves": curves,
+        "claims": [_row(multiverse, claim) for claim in multiverse.counted],
+        "others": [_row(multiverse, claim) for claim in multiverse.claims if claim.entry_class != "claim"],
+        "choices": _choices(multiverse),
+        "best": _best(multiverse),
+        "provenance": [
+            ("configurations", f"{len(multiverse.done):,} of {len(multiverse.configurations):,}"),
+            (
+                "runs of each point, seed",
+                f"{multiverse.declaration['runs']}, {multiverse.declaration['seed']}",
+            ),
+            (
+                "design",
+                joined(
+                    f"{key} {value}"
+                    for key, value in multiverse.declaration["design"].items()
+                    if value is not None
+                ),
+            ),
+        ],
+        "footer": "Written by bojax from multiverse.json, which has every verdict.",
+    }
+    write_content(page, fill(f"multiverse{page.suffix}.j2", **values))
+    return page
+
+
+def _summary(multiverse: Multiverse) -> str:
+    claims, total = multiverse.counted, len(multiverse.configurations)
+    strengths = [claim.strength for claim in claims]
+    kinds = joined(f"{strengths.count(kind)} {kind}" for kind in ("robust", "fragile", "contrary"))
+    done = f"{len(multiverse.done)} of {total}" if len(multiverse.done) < total else f"{total}"
+    choices = counted(len(multiverse.declaration["choices"]), "choice")
+    return f"{counted(len(claims), 'claim')} in {done} configurations of {choices}: {kinds}."
+
+
+def _row(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, Any]:
+    own = multiverse.done.index(0) if 0 in multiverse.done else None
+    share, bounds = claim.share().in_words(as_percent=True)
+    confirmed = multiverse.confirmed
+    total = len(claim.verdicts)
+    return {
+        "id": claim.id,
+        "source": claim.source or "",
+        "claim": claim.claim,
+        "entry_class": claim.entry_class,
+        "own": "" if own is None else _WORDS[claim.verdicts[own]],
+        "share": f"{share} {bounds}",
+        "fails": f"{claim.count('n') / total:.0%}",
+        "unknown": f"{(claim.count('i') + claim.count(FAILED)) / total:.0%}",
+        "failed": claim.count(FAILED),
+        "strength": claim.strength,
+        "fresh_own": _WORDS[confirmed.own.get(claim.id, FAILED)] if confirmed else "",
+        "fresh_best": _WORDS[confirmed.best.get(claim.id, FAILED)] if confirmed else "",
+        "decisive": _decisive(multiverse, claim),
+    }
+
+
+def _decisive(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
+    """The choice with the largest effect on a claim, in words; empty if none has one."""
+    best = ("", 0.0, "")
+    for (name, choice), intervals in zip(
+        multiverse.declaration["choices"].items(), effects(multiverse, claim).values(), strict=True
+    ):
+        known = [
+            (each.estimate, value)
+            for each, value in zip(intervals, choice["values"], strict=True)
+            if math.isfinite(each.estimate)
+        ]
+        if (
+            known
+            and (gap := max(known, key=lambda pair: pair[0])[0] - min(known, key=lambda pair: pair[0])[0])
+            > best[1]
+        ):
+            high, low = max(known, key=lambda pair: pair[0]), min(known, key=lambda pair: pair[0])
+            best = name, gap, f"{name}: {high[0]:.0%} with {high[1]}, {low[0]:.0%} with {low[1]}"
+    return best[2]
+
+
+def _choices(multiverse: Multiverse) -> list[dict[str, Any]]:
+    """Each choice with its values and the mean number of claims that hold under each."""
+    holding, levels = multiverse.holding(), multiverse.levels
+    rows = []
+    for column, (name, choice) in enumerate(multiverse.declaration["choices"].items()):
+        values = []
+        for level, value in enumerate(choice["values"]):
+            has = levels[:, column] == level
+            mean = f"{holding[has].mean():.1f}" if has.any() else "–"
+            values.append((str(value), int(has.sum()), mean))
+        rows.append({"name": name, "says": choice["says"], "source": choice["source"], "values": values})
+    return rows
+
+
+def _best(multiverse: Multiverse) -> dict[str, Any] | None:
+    """The best configuration beside the sweep's own; None until all configurations were evaluated."""
+    if multiverse.best is None:
+        return None
+    claims, holding = multiverse.counted, multiverse.holding()
+    place = multiverse.done.index(multiverse.best)
+    differing = []
+    for (name, choice), level in zip(
+        multiverse.declaration["choices"].items(), multiverse.configurations[multiverse.best], strict=True
+    ):
+        values = list(choice["values"])
+        if level:
+            differing.append((name, str(values[0]), str(values[level])))
+    confirmed = multiverse.confirmed
+    ids = {claim.id for claim in claims}
+    fresh = None
+    if confirmed is not None:
+        fresh = [
+            sum(each.get(name) == CODES["reproduced"] for name in ids)
+            for each in (confirmed.best, confirmed.own)
+        ]
+    return {
+        "number": multiverse.best,
+        "total": len(claims),
+        "selected": (int(holding[place]), int(holding[multiverse.done.index(0)])),
+        "fresh": fresh,
+        "runs": confirmed.runs if confirmed else None,
+        "seed": confirmed.seed if confirmed else None,
+        "differing": differing,
+    }
+
+
+def share_of(multiverse: Multiverse, claim: str) -> Interval | None:
+    """The share of configurations in which a claim holds; None if it is not part of the analysis."""
+    return next((each.share() for each in multiverse.claims if each.id == claim), None)

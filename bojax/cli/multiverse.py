@@ -1,0 +1,133 @@
+"""`bojax reproduce --multiverse`: the claims of sweeps under the choices that their paper leaves open."""
+
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bojax.cli.parser import UsageError
+from bojax.cli.running import run
+from bojax.config.errors import printable
+from bojax.engine.resolve import resolved
+from bojax.results.folder import require_empty
+
+if TYPE_CHECKING:
+    from bojax.claims.multiverse.declaration import Declaration
+    from bojax.claims.multiverse.outcomes import Multiverse
+
+FOLDER = Path("results/multiverse")
+"""Folder of the analyses without `--out`, each in a folder of its name, named after the time of its start."""
+
+PAGE = "report.html"
+
+
+def main(name: str, args: Namespace, words: Sequence[str]) -> int:
+    """Run or continue an analysis, and return the exit code."""
+    from bojax.claims.multiverse.declaration import declared
+    from bojax.claims.multiverse.outcomes import FILE, read, write
+
+    declaration = declared(args.multiverse)
+    changed = {key: value for key in ("runs", "seed") if (value := getattr(args, key)) is not None}
+    declaration = declaration.with_changes(changed)
+    out = args.out or _folder(declaration.name, resume=args.resume)
+    if not args.resume:
+        require_empty(out, "give another --out, or --resume an analysis")
+    if not args.out:  # so that the printed command resumes this folder
+        words = [*words, "--out", str(out)]
+    command = ["bojax", name, *words]
+    multiverse = read(out, declaration)
+    done = set(multiverse.done)
+    left = [number for number in range(len(multiverse.configurations)) if number not in done]
+    asked = left if args.configurations is None else left[: args.configurations]
+    size = declaration.file.block
+    from bojax.engine.program_cache import held
+
+    with held():
+        for start in range(0, len(asked), size):
+            numbers = asked[start : start + size]
+            folder = out / "blocks" / f"{numbers[0]:05d}-{numbers[-1]:05d}"
+            _say(f"configurations {numbers[0]} to {numbers[-1]} of {len(multiverse.configurations)}")
+            code, found = _run(declaration, numbers, None, None, folder, args, command)
+            if code not in (0, 1) or found is None:
+                return code
+            multiverse = _extended(multiverse, found)
+            write(out, multiverse)
+        if multiverse.best is not None and multiverse.confirmed is None:
+            code, multiverse = _confirm(declaration, multiverse, out / "confirm", args, command)
+            if code not in (0, 1):
+                return code
+            write(out, multiverse)
+    from bojax.claims.multiverse.page import write_page
+
+    if missing := len(multiverse.configurations) - len(multiverse.done):
+        _say(f"{missing} of {len(multiverse.configurations)} configurations are left: --resume --out {out}")
+    print(out / FILE)
+    print(write_page(multiverse, declaration.file.title, declaration.file.reading.strip(), out / PAGE))
+    return 0
+
+
+def _run(
+    declaration: "Declaration",
+    numbers: Sequence[int],
+    runs: int | None,
+    seed: int | None,
+    folder: Path,
+    args: Namespace,
+    command: list[str],
+) -> tuple[int, Mapping[int, Any] | None]:
+    """Run these configurations of all sweeps as one plan; the exit code, and the entries of the claims."""
+    from bojax.claims.multiverse.outcomes import evaluated
+
+    sweeps = [resolved(declaration.sweep(each, numbers, runs, seed)) for each in declaration.file.sweeps]
+    folders = {
+        source: folder / sweep.name for source, sweep in zip(declaration.file.sweeps, sweeps, strict=True)
+    }
+    is_begun = any(
+        (each / ".work").exists() or (each / "manifest.json").exists() for each in folders.values()
+    )
+    code = run(sweeps, list(folders.values()), is_begun, command, launching=args, reports=False)
+    if code not in (0, 1) or not all((each / "manifest.json").exists() for each in folders.values()):
+        return code or 1, None
+    return code, evaluated(declaration, folders, numbers)
+
+
+def _extended(multiverse: "Multiverse", found: Mapping[int, Any]) -> "Multiverse":
+    from bojax.claims.multiverse.outcomes import extended
+
+    return extended(multiverse, found)
+
+
+def _confirm(
+    declaration: "Declaration", multiverse: "Multiverse", folder: Path, args: Namespace, command: list[str]
+) -> tuple[int, "Multiverse"]:
+    """Run the sweep's own configuration and the best one again, on fresh seeds."""
+    from bojax.claims.multiverse.outcomes import Confirmed, verdicts_of
+
+    assert multiverse.best is not None
+    runs, seed = declaration.file.confirm.runs, declaration.file.confirm.seed
+    _say(f"the best configuration is {multiverse.best}; it and the sweep's own run again on fresh seeds")
+    numbers = sorted({0, multiverse.best})
+    code, found = _run(declaration, numbers, runs, seed, folder, args, command)
+    if found is None:
+        return code, multiverse
+    own, best = (verdicts_of(found[number]) for number in (0, multiverse.best))
+    return code, multiverse.model_copy(
+        update={"confirmed": Confirmed(runs=runs, seed=seed, own=own, best=best)}
+    )
+
+
+def _say(text: str) -> None:
+    print(printable(text), file=sys.stderr)
+
+
+def _folder(name: str, *, resume: bool) -> Path:
+    """A new folder, or the newest one of an analysis."""
+    above = FOLDER / name
+    if not resume:
+        return above / time.strftime("%Y%m%d-%H%M%S")
+    found = sorted(above.iterdir()) if above.is_dir() else []
+    if not found:
+        raise UsageError(f"{above}: no analysis to resume; to start one, leave out --resume")
+    return found[-1]
