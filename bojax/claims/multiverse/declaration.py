@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import pydantic
 from pydantic import Field
@@ -38,7 +38,7 @@ class ChoiceEntry(Schema, frozen=True):
     setting: str | None = Field(
         default=None, min_length=1, description="dotted path of the setting, if values is a list"
     )
-    values: Annotated[list[Any], Field(min_length=2)] | dict[str, dict[str, Any]] = Field(
+    values: list[Any] | dict[str, dict[str, Any]] = Field(
         description="values of the setting, or named values that each change several settings; the first is "
         "that of the sweep"
     )

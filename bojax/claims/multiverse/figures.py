@@ -80,8 +80,8 @@ def count_curve(multiverse: Multiverse) -> Drawing:
         figure=figure,
         title="Claims that hold together",
         caption=f"Number of the {counted(len(multiverse.counted), 'claim')} that hold in each configuration, "
-        "the best first; the dot is the configuration of the sweep itself. Below, a mark for the value of each "
-        "choice.",
+        "the best first; the dot is the configuration of the sweep itself. Below, a mark for the value of "
+        "each choice.",
         alt="Specification curve of the number of claims that hold, with the values of the choices below.",
     )
 

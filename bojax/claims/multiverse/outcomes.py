@@ -1,7 +1,7 @@
 """The outcomes of a multiverse analysis: the verdict of each claim in each configuration.
 
-`multiverse.json` grows block by block, and does not depend on the blocks: an analysis that was interrupted, or that is
-continued on another machine from this file alone, ends in the same bytes.
+`multiverse.json` grows block by block, and does not depend on the blocks: an analysis that was interrupted,
+or that is continued on another machine from this file alone, ends in the same bytes.
 """
 
 import math
@@ -222,7 +222,7 @@ def verdicts_of(entries: Iterable[tuple[Claim, str, dict[str, Any]]]) -> dict[st
 
 
 Row = tuple[str, list[float | None]]
-"""The code of a claim in a configuration; its estimate, the bounds of its interval, and a printed number's."""
+"""The code of a claim in a configuration; its estimate, the bounds of its interval, and `ours`."""
 
 
 def _row(entry: Mapping[str, Any]) -> Row:

@@ -1,0 +1,249 @@
+"""A multiverse analysis: its designs, its declaration, and the outcomes of claims in all configurations."""
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bojax.claims.multiverse import designs, outcomes
+from bojax.claims.multiverse.declaration import declared, names
+from bojax.claims.multiverse.outcomes import ClaimOutcomes, Confirmed, Multiverse
+from bojax.claims.multiverse.page import write_page
+from bojax.cli.main import main
+from bojax.config.errors import ConfigError
+from bojax.results.store import ResultsError
+from tests.compiling import IS_CPU
+
+SWEEP = """
+title: A short chain
+base: {experiment: learning, env: {kind: chain, length: 4}, learner: exploration-values, episodes: 3}
+axes: {learner: {usual: {kind: exploration-values}, greedy: {kind: epsilon-greedy}}}
+runs: 20
+claims:
+  - id: own/finds
+    source: Table 1
+    claim: the goal is found
+    test: {kind: share, by: variant, label: usual, column: success, above: 0.5}
+  - id: own/steps
+    source: Table 2
+    claim: the goal is found always
+    thesis: 1.0
+    class: variant
+    test: {kind: agrees, by: variant, label: usual, column: success, share: 1.0, runs: 20}
+"""
+
+FILE = """
+title: An own paper
+sweeps: [own.yaml]
+choices:
+  rate: {says: rate, source: not stated, of: [usual], setting: learner.learning_rate, values: [0.1, 0.5]}
+  cap: {says: longest episode, source: not stated, values: {long: {}, short: {env.max_steps: 3}}}
+runs: 20
+confirm: {runs: 20, seed: 7}
+"""
+
+
+@pytest.fixture
+def paper(tmp_path) -> Path:
+    (tmp_path / "own.yaml").write_text(SWEEP)
+    (tmp_path / "universe.yaml").write_text(FILE)
+    return tmp_path / "universe.yaml"
+
+
+def test_a_grid_has_all_combinations_and_a_random_design_distinct_ones():
+    assert designs.grid([2, 3]) == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)]
+    found = designs.random([4, 3, 5], 40, seed=1)
+    assert len(set(found)) == 40 and found[0] == (0, 0, 0)
+    assert found == designs.random([4, 3, 5], 40, seed=1) != designs.random([4, 3, 5], 40, seed=2)
+    many = np.array(designs.random([2, 3, 5, 7, 11], 2000, seed=0))
+    for column, size in enumerate([2, 3, 5, 7, 11]):
+        counts = np.bincount(many[:, column], minlength=size)
+        assert np.abs(counts - 2000 / size).max() < 4 * np.sqrt(2000 / size)
+    assert designs.random([2, 2], 4, seed=0) == designs.grid([2, 2])
+    with pytest.raises(ValueError, match="at most 4"):
+        designs.random([2, 2], 5, seed=0)
+
+
+@pytest.mark.parametrize(("sizes", "count"), [([2] * 6, 64), ([2, 4, 2, 4, 2, 2, 2], 64), ([8, 2, 2], 32)])
+def test_the_values_of_two_choices_meet_equally_often_in_a_fraction(sizes, count):
+    runs = np.array(designs.fractional(sizes, count))
+    assert len(set(map(tuple, runs.tolist()))) == count == len(runs) and not runs[0].any()
+    for one, other in itertools.combinations(range(len(sizes)), 2):
+        table = np.zeros((sizes[one], sizes[other]), int)
+        np.add.at(table, (runs[:, one], runs[:, other]), 1)
+        assert np.ptp(table) == 0
+
+
+def test_main_effects_are_not_confounded_with_interactions_of_two_choices():
+    runs = 1 - 2 * np.array(designs.fractional([2] * 8, 16))  # 2^(8-4), which has resolution IV
+    for effect, pair in itertools.product(range(8), itertools.combinations(range(8), 2)):
+        assert effect in pair or runs[:, [effect, *pair]].prod(axis=1).sum() == 0
+
+
+@pytest.mark.parametrize(("sizes", "count"), [([2, 3], 16), ([2, 2], 12), ([2] * 9, 8), ([4, 4], 8)])
+def test_a_fraction_that_does_not_exist_is_refused(sizes, count):
+    with pytest.raises(ValueError, match="allowed"):
+        designs.fractional(sizes, count)
+
+
+def test_shipped_analyses_fit_their_sweeps():
+    for name in names():
+        assert declared(name).configurations[0] == (0,) * len(declared(name).file.choices)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "values: [0.1, 0.5]",
+            "values: [0.2, 0.5]",
+            "choices.rate.values: the first changes usual of own.yaml",
+        ),
+        ("values: [0.1, 0.5]", "values: [0.1, 5.0]", "choices.rate.5.0: learner.learning_rate of usual"),
+        ("values: [0.1, 0.5]", "values: [0.1]", "values: got one; allowed: at least two"),
+        ("values: [0.1, 0.5]", "values: [0.1, 0.1]", "a value twice"),
+        ("of: [usual]", "of: [nobody]", 'choices.rate: got "0.5", which changes no point'),
+        ("learner.learning_rate", "learner.rate", 'choices.rate: got "0.5", which changes no point'),
+        ("setting: learner.learning_rate, ", "", "setting: missing"),
+        ("long: {}", "long: {env.max_steps: 9}", "choices.cap.values: the first changes usual"),
+        ("sweeps: [own.yaml]", "sweeps: [other.yaml]", "other.yaml: no such file"),
+        ("sweeps: [own.yaml]", "sweeps: []", "sweeps"),
+        ("seed: 7", "seed: 0", "confirm.seed: got 0, the seed of the analysis"),
+        ("runs: 20\nconfirm", "design: {kind: random}\nconfirm", "configurations: needed"),
+        ("runs: 20\nconfirm", "design: {kind: random, configurations: 9}\nconfirm", "at most 4"),
+        ("runs: 20\nconfirm", "design: {kind: fractional, configurations: 3}\nconfirm", "powers of 2"),
+        ("runs: 20\nconfirm", "runs: 2\nconfirm", "runs"),
+        ("title: An", "titel: An", "titel: unknown key"),
+    ],
+)
+def test_a_wrong_declaration_is_an_error_in_one_line(paper, old, new, message):
+    text = paper.read_text()
+    assert text.count(old) >= 1
+    paper.write_text(text.replace(old, new, 1))
+    with pytest.raises(ConfigError) as error:
+        declared(str(paper))
+    assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_two_choices_of_one_setting_are_refused(paper):
+    paper.write_text(paper.read_text().replace("short: {env", "short: {learner.learning_rate: 0.2, env"))
+    declaration = declared(str(paper))
+    with pytest.raises(
+        ConfigError, match=r"choices\.cap\.short: sets learner\.learning_rate of usual, which .*rate"
+    ):
+        declaration.sweep("own.yaml", range(4), None, None)
+
+
+def test_settings_replace_those_of_the_axes_where_they_are_meant(paper):
+    sweep = declared(str(paper)).sweep("own.yaml", [0, 3], None, 5)
+    assert [point.swept["configuration"] for point in sweep.points] == [0, 0, 3, 3]
+    usual, greedy = sweep.points[2:]
+    assert (usual.variant, usual.config.learner.learning_rate, usual.config.env.max_steps) == (
+        "usual",
+        0.5,
+        3,
+    )
+    assert greedy.config.learner.learning_rate == sweep.points[1].config.learner.learning_rate
+    assert (sweep.runs, sweep.seed, sweep.record.runs, sweep.published) == (20, 5, 0, None)
+
+
+def claim(name: str, verdicts: str, thesis=None, ours=None, **others) -> ClaimOutcomes:
+    numbers = [1.0] * len(verdicts)
+    ours = ours or [None] * len(verdicts)
+    lists = {"estimates": numbers, "low": numbers, "high": numbers, "ours": ours}
+    return ClaimOutcomes(
+        id=name, sweep="own", claim=name, verdicts=verdicts, thesis=thesis, **lists, **others
+    )
+
+
+def universe(*claims: ClaimOutcomes) -> Multiverse:
+    choices = {
+        "rate": {"says": "", "source": "", "values": [1, 2]},
+        "cap": {"says": "", "source": "", "values": {"a": {}, "b": {}}},
+    }
+    return Multiverse(
+        name="own",
+        declaration={"choices": choices, "runs": 20, "seed": 0, "design": {"kind": "grid"}},
+        configurations=[[0, 0], [0, 1], [1, 0], [1, 1]],
+        done=[0, 1, 2, 3],
+        claims=list(claims),
+    )
+
+
+def test_the_best_configuration_has_most_claims_and_is_then_nearest_to_the_printed_numbers():
+    first, second = claim("a", "rrrn"), claim("b", "nrrr", thesis=10.0, ours=[10.0, 30.0, 12.0, 10.0])
+    assert outcomes.best_of(universe(first, second)) == 2
+    assert outcomes.distance([second], 2) == pytest.approx(0.2) and outcomes.distance([second], 1) == 1.0
+    variant = claim("c", "rnnn", entry_class="variant")
+    assert outcomes.best_of(universe(first, second, variant)) == 2  # only claims count
+
+
+def test_strength_and_the_effect_of_each_choice():
+    claims = [claim("a", "rrrr"), claim("b", "nnnr"), claim("c", "nnnn"), claim("d", "iiix")]
+    assert [each.strength for each in claims] == ["robust", "fragile", "contrary", "fragile"]
+    found = outcomes.effects(universe(*claims), claims[1])
+    assert [each.estimate for each in found["rate"]] == [0.0, 0.5]
+    assert claims[1].share().estimate == 0.25 and claims[1].share().low > 0
+
+
+def test_the_page_of_every_kind(tmp_path):
+    claims = [claim("a", "rrrn"), claim("b", "nnix", entry_class="check"), claim("c", "xxxx")]
+    confirmed = Confirmed(runs=20, seed=1, own={"a": "n"}, best={"a": "r"})
+    made = universe(*claims).model_copy(update={"best": 1, "confirmed": confirmed})
+    for suffix in ("html", "md"):
+        text = write_page(made, "A <title>", "Plausible.", tmp_path / f"page.{suffix}").read_text()
+        assert "1 of 2" in text and "Plausible." in text and "rate" in text
+    assert (tmp_path / "figures" / "own-together.svg").stat().st_size > 1000
+
+
+def run(paper: Path, out: Path, *words: str) -> int:
+    return main(["reproduce", "--multiverse", str(paper), "--out", str(out), *words])
+
+
+@pytest.mark.skipif(not IS_CPU, reason="compares blocks of different widths")
+def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_path, capsys):
+    assert run(paper, tmp_path / "whole") == 0
+    assert run(paper, tmp_path / "pieces", "--configurations", "1") == 0
+    begun = json.loads((tmp_path / "pieces" / outcomes.FILE).read_text())
+    assert begun["done"] == [0] and begun["best"] is None
+    carried = tmp_path / "elsewhere" / outcomes.FILE  # another machine gets nothing but this file
+    carried.parent.mkdir()
+    carried.write_bytes((tmp_path / "pieces" / outcomes.FILE).read_bytes())
+    assert run(paper, tmp_path / "elsewhere", "--resume", "--configurations", "2") == 0
+    assert run(paper, tmp_path / "elsewhere", "--resume") == 0
+    whole, other = ((tmp_path / name / outcomes.FILE).read_bytes() for name in ("whole", "elsewhere"))
+    assert whole == other
+    made = outcomes.read(tmp_path / "whole")
+    assert made.done == [0, 1, 2, 3] and made.best is not None and made.confirmed is not None
+    finds = next(each for each in made.claims if each.id == "own/finds")
+    assert (
+        finds.verdicts[0] == "r" and "n" in finds.verdicts
+    )  # a goal three steps away cannot always be reached
+    assert "configurations are left" in capsys.readouterr().err
+
+
+def test_results_of_another_declaration_are_refused(paper, tmp_path, capsys):
+    made = outcomes.begin(declared(str(paper)))
+    outcomes.write(tmp_path / "out", made)
+    paper.write_text(paper.read_text().replace("[0.1, 0.5]", "[0.1, 0.4]"))
+    assert run(paper, tmp_path / "out", "--resume") == 2
+    assert "was made by another version of universe" in capsys.readouterr().err
+    (tmp_path / "out" / outcomes.FILE).write_text("{")
+    with pytest.raises(ResultsError, match="truncated"):
+        outcomes.read(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--multiverse", "nope"], "no such name in sweeps/multiverse/"),
+        (["--multiverse", "nope.yaml"], "nope.yaml: no such file"),
+        (["--configurations", "3", "fig-4.6"], "--configurations: needs --multiverse"),
+        (["--multiverse", "4.4", "fig-4.6"], "--multiverse: not allowed with ID"),
+    ],
+)
+def test_wrong_words(words, message, capsys):
+    assert main(["reproduce", *words]) == 2
+    assert message in capsys.readouterr().err
