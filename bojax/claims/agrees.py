@@ -33,7 +33,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
         size, hits, printed = values.size, int(np.count_nonzero(values)), round(test.share * runs)
         interval = statistics.share_difference(hits, size, printed, runs)
         p_value = statistics.fisher_p_value(hits, size, printed, runs)
-        is_apart = p_value < 1 - statistics.LEVEL
+        is_apart = p_value < 2 * statistics.tail_in_use()
         estimate, tolerance = hits / size, test.tolerance or SHARE_TOLERANCE
         ours, theirs = percent(estimate), f"{percent(test.share)} of {counted(runs, 'run')}"
         what = f"Newcombe's 95% interval of the difference between our share of {name}"

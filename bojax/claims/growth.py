@@ -47,7 +47,7 @@ def growth(results: Results, test: Growth) -> Finding:
     ]
     best = max(shares, key=lambda law: shares[law])
     verdict: Verdict = "inconclusive"
-    if shares[best] >= statistics.LEVEL:
+    if shares[best] >= 1 - 2 * statistics.tail_in_use():
         verdict = "reproduced" if best == expected else "not reproduced"
     off = float(np.sqrt(np.mean((fits[best](x) / ours - 1) ** 2)))
     told = ", ".join(f"{fit.law} {fit} in {percent(shares[fit.law])}" for fit in fits.values())

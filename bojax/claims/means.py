@@ -182,7 +182,7 @@ def similar(results: Results, test: Similar) -> Finding:
         if not (at.mean(axis=0) if is_share else means[:, : len(names)]).min() > 0:
             raise Undecidable(f"the means of {measure} are not clearly positive: a ratio is meaningless")
     pairs = list(combinations(range(len(names)), 2))
-    tail, ours = statistics.TAIL / len(pairs), at.mean(axis=0)
+    tail, ours = statistics.tail_in_use() / len(pairs), at.mean(axis=0)
 
     def between(a: int, b: int) -> statistics.Interval:
         def compared_means(means: statistics.Floats) -> statistics.Floats:

@@ -65,7 +65,9 @@ def order(results: Results, test: Order) -> Finding:
         each = range(len(pairs))
         above = [statistics.p_value(lambda level, k=k: bounds_at(level, k)[0] > 0) for k in each]
         below = [statistics.p_value(lambda level, k=k: bounds_at(level, k)[1] < 0) for k in each]
-    low_levels, high_levels = (statistics.holm_levels(each, statistics.TAIL) for each in (above, below))
+    low_levels, high_levels = (
+        statistics.holm_levels(each, statistics.tail_in_use()) for each in (above, below)
+    )
     comparisons = []
     for k, (a, b) in enumerate(pairs):
         of = _difference(a, b, sign)
@@ -82,7 +84,7 @@ def order(results: Results, test: Order) -> Finding:
         ours=(" > " if sign > 0 else " < ").join(f"{name} {number(values[name].mean())}" for name in by_mean),
         runs=len(table),
         method=f"mean difference of {measure} between paired runs{' plus the margin' if margin else ''}, "
-        f"each pair of neighbours, one-sided at {statistics.TAIL:.1%} with Holm's correction over "
+        f"each pair of neighbours, one-sided at {statistics.tail_in_use():.1%} with Holm's correction over "
         f"{counted(len(comparisons), 'pair')}, intervals at the corrected levels; "
         f"{interval_of(len(table), is_share=is_share)}",
         chosen=chosen,

@@ -5,7 +5,7 @@ import time
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bojax.cli.parser import UsageError
 from bojax.cli.running import run
@@ -26,7 +26,7 @@ PAGE = "report.html"
 def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     """Run or continue an analysis, and return the exit code."""
     from bojax.claims.multiverse.declaration import declared
-    from bojax.claims.multiverse.outcomes import FILE, read, write
+    from bojax.claims.multiverse.outcomes import FILE, evaluated, extended, read, write
 
     declaration = declared(args.multiverse)
     changed = {key: value for key in ("runs", "seed") if (value := getattr(args, key)) is not None}
@@ -49,10 +49,10 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
             numbers = asked[start : start + size]
             folder = out / "blocks" / f"{numbers[0]:05d}-{numbers[-1]:05d}"
             _say(f"configurations {numbers[0]} to {numbers[-1]} of {len(multiverse.configurations)}")
-            code, found = _run(declaration, numbers, None, None, folder, args, command)
-            if code not in (0, 1) or found is None:
+            code, folders = _run(declaration, numbers, None, None, folder, args, command)
+            if folders is None:
                 return code
-            multiverse = _extended(multiverse, found)
+            multiverse = extended(multiverse, evaluated(declaration, folders, numbers))
             write(out, multiverse)
         if multiverse.best is not None and multiverse.confirmed is None:
             code, multiverse = _confirm(declaration, multiverse, out / "confirm", args, command)
@@ -76,10 +76,11 @@ def _run(
     folder: Path,
     args: Namespace,
     command: list[str],
-) -> tuple[int, Mapping[int, Any] | None]:
-    """Run these configurations of all sweeps as one plan; the exit code, and the entries of the claims."""
-    from bojax.claims.multiverse.outcomes import evaluated
+) -> tuple[int, Mapping[str, Path] | None]:
+    """Run these configurations of all sweeps as one plan; the exit code, and the results of each sweep.
 
+    They are None if the plan did not end. Runs that failed are left out of the results.
+    """
     sweeps = [resolved(declaration.sweep(each, numbers, runs, seed)) for each in declaration.file.sweeps]
     folders = {
         source: folder / sweep.name for source, sweep in zip(declaration.file.sweeps, sweeps, strict=True)
@@ -90,32 +91,25 @@ def _run(
     code = run(sweeps, list(folders.values()), is_begun, command, launching=args, reports=False)
     if code not in (0, 1) or not all((each / "manifest.json").exists() for each in folders.values()):
         return code or 1, None
-    return code, evaluated(declaration, folders, numbers)
-
-
-def _extended(multiverse: "Multiverse", found: Mapping[int, Any]) -> "Multiverse":
-    from bojax.claims.multiverse.outcomes import extended
-
-    return extended(multiverse, found)
+    return code, folders
 
 
 def _confirm(
     declaration: "Declaration", multiverse: "Multiverse", folder: Path, args: Namespace, command: list[str]
 ) -> tuple[int, "Multiverse"]:
     """Run the sweep's own configuration and the best one again, on fresh seeds."""
-    from bojax.claims.multiverse.outcomes import Confirmed, verdicts_of
+    from bojax.claims.multiverse.outcomes import Confirmed, confirmed
 
     assert multiverse.best is not None
     runs, seed = declaration.file.confirm.runs, declaration.file.confirm.seed
     _say(f"the best configuration is {multiverse.best}; it and the sweep's own run again on fresh seeds")
     numbers = sorted({0, multiverse.best})
-    code, found = _run(declaration, numbers, runs, seed, folder, args, command)
-    if found is None:
+    code, folders = _run(declaration, numbers, runs, seed, folder, args, command)
+    if folders is None:
         return code, multiverse
-    own, best = (verdicts_of(found[number]) for number in (0, multiverse.best))
-    return code, multiverse.model_copy(
-        update={"confirmed": Confirmed(runs=runs, seed=seed, own=own, best=best)}
-    )
+    found = confirmed(declaration, folders, numbers)
+    fresh = Confirmed(runs=runs, seed=seed, own=found[0], best=found[multiverse.best])
+    return code, multiverse.model_copy(update={"confirmed": fresh})
 
 
 def _say(text: str) -> None:

@@ -10,6 +10,8 @@ Random numbers come from one fixed seed, so that the same table gives the same r
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache, wraps
 from statistics import NormalDist
@@ -28,7 +30,7 @@ BAND = 1.96  # half the width of a band of 95% of a normal distribution, in stan
 RESAMPLES = 10_000
 """Number of bootstrap resamples; it fixes the bounds of a 95% interval to about 1% of its width."""
 LEVEL = 0.95  # coverage of every interval in a report
-TAIL = (1 - LEVEL) / 2  # probability outside such an interval on either side
+TAIL = (1 - LEVEL) / 2  # probability outside such an interval on either side, unless `at_tail` changes it
 SEED = 0
 FEW = 50
 """Number of runs below which a t interval replaces the percentile bootstrap, whose bounds lack the factor
@@ -62,6 +64,24 @@ class Interval:
         if as_percent:
             return percent(self.estimate), f"[{percent(self.low)}, {percent(self.high)}]"
         return with_bounds(self.estimate, self.low, self.high)
+
+
+_tail: ContextVar[float] = ContextVar("_tail", default=TAIL)
+
+
+def tail_in_use() -> float:
+    """The probability outside an interval on either side."""
+    return _tail.get()
+
+
+@contextmanager
+def at_tail(tail: float) -> Iterator[None]:
+    """Context in which every interval and test leaves out this probability on either side."""
+    token = _tail.set(tail)
+    try:
+        yield
+    finally:
+        _tail.reset(token)
 
 
 NO_INTERVAL = "(no interval)"  # text in place of the bounds of a single run
@@ -152,8 +172,9 @@ def methods(counts: Iterable[int]) -> str:
     return "Student's t" if True in is_few else "bootstrap"
 
 
-def central(samples: Floats, tail: float = TAIL) -> tuple[float, float]:
+def central(samples: Floats, tail: float | None = None) -> tuple[float, float]:
     """Bounds between which all but a share `tail` on either side of `[resamples]` lie."""
+    tail = tail_in_use() if tail is None else tail
     low, high = np.quantile(samples, [tail, 1 - tail])
     return float(low), float(high)
 
@@ -161,7 +182,7 @@ def central(samples: Floats, tail: float = TAIL) -> tuple[float, float]:
 def interval_of_means(
     statistic: Callable[[Floats], Any],
     values: ArrayLike,
-    tail: float = TAIL,
+    tail: float | None = None,
     *,
     is_ratio: bool = False,
     resampled: Floats | None = None,
@@ -179,6 +200,7 @@ def interval_of_means(
         is_ratio: Whether the statistic is positive, and a ratio.
         resampled: The means of resampled rows, if they are known.
     """
+    tail = tail_in_use() if tail is None else tail
     table = np.asarray(values, dtype=np.float64)
     n = len(table)
     estimate = float(statistic(table.mean(axis=0)))
@@ -366,7 +388,7 @@ def share_band(flags: ArrayLike) -> Band:
     return share, *wilson(hits, count)
 
 
-def wilson(successes: ArrayLike, trials: ArrayLike, tail: float = TAIL) -> tuple[Floats, Floats]:
+def wilson(successes: ArrayLike, trials: ArrayLike, tail: float | None = None) -> tuple[Floats, Floats]:
     """Bounds of Wilson's score interval for a share (Wilson 1927, eq. 1), without continuity correction.
 
     NaN where there are no trials.
@@ -374,7 +396,7 @@ def wilson(successes: ArrayLike, trials: ArrayLike, tail: float = TAIL) -> tuple
     n = np.asarray(trials, dtype=np.float64)
     n = np.where(n > 0, n, np.nan)
     count = np.where(n > 0, np.asarray(successes, dtype=np.float64), np.nan)
-    z = -NormalDist().inv_cdf(tail)  # which is exact where 1 - tail is not
+    z = -NormalDist().inv_cdf(tail_in_use() if tail is None else tail)  # which is exact where 1 - tail is not
     share = count / n
     centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
@@ -404,7 +426,7 @@ def share_difference(successes: int, trials: int, other_successes: int, other_tr
 
 
 def paired_shares(
-    flags: ArrayLike, weights: ArrayLike, tail: float = TAIL, *, is_ratio: bool = False
+    flags: ArrayLike, weights: ArrayLike, tail: float | None = None, *, is_ratio: bool = False
 ) -> Interval:
     """Weighted sum of the shares of columns of booleans `[n, columns]`, whose rows are runs.
 
@@ -467,7 +489,7 @@ def welch_difference(first: tuple[float, float, int], second: tuple[float, float
     from scipy import special  # takes a tenth of a second to import, and few reports need it
 
     freedom = variance**2 / float((variances**2 / np.array([first[2] - 1, second[2] - 1])).sum())
-    half = float(special.stdtrit(freedom, 1 - TAIL)) * np.sqrt(variance)
+    half = float(special.stdtrit(freedom, 1 - tail_in_use())) * np.sqrt(variance)
     return Interval(difference, float(difference - half), float(difference + half))
 
 

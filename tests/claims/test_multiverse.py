@@ -13,6 +13,7 @@ from bojax.claims.multiverse.outcomes import ClaimOutcomes, Confirmed, Multivers
 from bojax.claims.multiverse.page import write_page
 from bojax.cli.main import main
 from bojax.config.errors import ConfigError
+from bojax.report import statistics
 from bojax.results.store import ResultsError
 from tests.compiling import IS_CPU
 
@@ -247,3 +248,24 @@ def test_results_of_another_declaration_are_refused(paper, tmp_path, capsys):
 def test_wrong_words(words, message, capsys):
     assert main(["reproduce", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_fresh_seeds_are_judged_with_holm_s_correction(monkeypatch):
+    # Of p values .001, .012, .02 and .04, the levels are .0125, .0167, .025 and .05: all hold.
+    p_values = {"a": 0.012, "b": 0.04, "c": 0.001, "d": 0.02}
+    looked = []
+
+    def evaluated(declaration, folders, numbers):
+        tail = statistics.tail_in_use()
+        looked.append(round(2 * tail, 6))
+        entry = {"test": {}, "interval": None, "ours": None}
+        verdicts = {name: "reproduced" if p < 2 * tail else "inconclusive" for name, p in p_values.items()}
+        made = {name: claim(name, "r") for name in p_values}
+        return {numbers[0]: [(made[name], "own", {**entry, "verdict": verdicts[name]}) for name in p_values]}
+
+    monkeypatch.setattr(outcomes, "evaluated", evaluated)
+    found = outcomes.confirmed(None, {}, [3])  # type: ignore[arg-type]
+    assert found == {3: {"a": "r", "b": "r", "c": "r", "d": "r"}} and looked == [0.05, 0.0125, 0.025, 0.05]
+    p_values["a"] = 0.03
+    assert outcomes.confirmed(None, {}, [3])[3] == {"a": "i", "b": "i", "c": "r", "d": "i"}  # type: ignore[arg-type]
+    assert statistics.tail_in_use() == statistics.TAIL

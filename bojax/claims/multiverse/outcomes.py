@@ -216,9 +216,29 @@ def extended(
     return extended
 
 
-def verdicts_of(entries: Iterable[tuple[Claim, str, dict[str, Any]]]) -> dict[str, str]:
-    """The code of each claim of a configuration, by id."""
-    return {claim.id: _row(entry)[0] for claim, _, entry in entries}
+def confirmed(
+    declaration: Declaration, folders: Mapping[str, Path], numbers: Sequence[int]
+) -> dict[int, dict[str, str]]:
+    """The code of each claim in each of these configurations, with Holm's correction over all claims.
+
+    Holm's procedure (1979) is stepped down in levels: what holds at the level of all hypotheses that are left
+    is rejected at once, and the level is that of those still left.
+    """
+    found: dict[int, dict[str, str]] = {}
+    for number in numbers:
+        rejected, total = 0, 1
+        while True:
+            with statistics.at_tail(statistics.TAIL / max(1, total - rejected)):
+                entries = evaluated(declaration, folders, [number])[number]
+            codes = {claim.id: _row(entry)[0] for claim, _, entry in entries}
+            counted = [claim.id for claim, _, _ in entries if claim.entry_class == "claim"]
+            holding = sum(codes[name] == CODES["reproduced"] for name in counted)
+            if total == len(counted) and holding in (rejected, total):
+                break
+            # The first look, at the usual level, only counts the claims.
+            rejected, total = (holding, total) if total == len(counted) else (0, len(counted))
+        found[number] = codes
+    return found
 
 
 Row = tuple[str, list[float | None]]
