@@ -156,6 +156,6 @@ def _parser(name: str) -> Parser:
     )
     parser.option("--multiverse", "NAME", multiverse)
     most = "with --multiverse: run at most this many further configurations (default: all)"
-    parser.option("--configurations", "N", most, at_least(1))
+    parser.option("--configurations", "N", most, at_least(0))
     add_launching(parser)
     return parser
