@@ -1,9 +1,11 @@
 """Tests of means and shares: against a threshold, over time, as a ratio, and for equivalence."""
 
+import dataclasses
 from itertools import combinations
 
 import numpy as np
 
+from bojax.claims.holm import holm_intervals
 from bojax.claims.samples import (
     Measure,
     enough,
@@ -24,8 +26,10 @@ from bojax.report.text import counted, number
 
 
 def mean(results: Results, test: Mean) -> Finding:
-    """Whether a mean is above a threshold, below one, or between two."""
+    """Whether a mean, or each of several, is above a threshold, below one, or between two."""
     measure = Measure.of(test)
+    if test.also:
+        return _means(results, test, measure)
     (point,), chosen = stand_ins(results, test, measure)
     interval, runs, method = mean_of(results, test, point, measure)
     sides = {"above": test.above, "below": test.below}
@@ -36,6 +40,39 @@ def mean(results: Results, test: Mean) -> Finding:
         [Comparison(f"{measure} of {test.label}", interval)],
         runs=runs,
         method=f"mean over runs of {measure}, 95% interval against {bounds}; {method}",
+        chosen=chosen,
+    )
+
+
+def _means(results: Results, test: Mean, measure: Measure) -> Finding:
+    """Whether all of several means are above a threshold, or below it (Holm's correction over the means)."""
+    (point,), chosen = stand_ins(results, test, measure)
+    measures = [dataclasses.replace(measure, column=column) for column in (test.column, *test.also)]
+    if any(each.is_share(results) for each in measures):
+        raise Undecidable(f"{test.column} or another column holds Booleans: test their shares one by one")
+    table = np.stack([paired(results, test, [point], each)[:, 0] for each in measures], axis=1)
+    table = table.astype(np.float64)
+    side, threshold = ("above", test.above) if test.below is None else ("below", test.below)
+    assert threshold is not None  # the schema requires one
+    comparisons = [
+        Comparison(
+            f"{each} of {test.label}",
+            statistics.Interval(*(bound + threshold for bound in dataclasses.astuple(interval))),
+        )
+        for each, interval in zip(measures, holm_intervals(table - threshold), strict=True)
+    ]
+    ours = ", ".join(
+        f"{each.column} {number(mean)}" for each, mean in zip(measures, table.mean(axis=0), strict=True)
+    )
+    return Finding.between(
+        test.above,
+        test.below,
+        comparisons,
+        ours=ours,
+        runs=len(table),
+        method=f"means over runs of {counted(len(measures), 'column')}, each {side} {threshold:g}, one-sided "
+        f"at {statistics.TAIL:.1%} with Holm's correction over the columns, intervals at these levels; "
+        f"{interval_of(len(table))}",
         chosen=chosen,
     )
 
@@ -162,7 +199,7 @@ def similar(results: Results, test: Similar) -> Finding:
     which is resampled with the means.
     """
     names, spread_at = test.names, test.spread_at
-    measure = Measure(test.column, test.step or test.window, test.since)
+    measure = Measure.of(test)
     spread = measure if spread_at is None else Measure(test.column, spread_at)
     points, chosen = stand_ins(results, test, measure)
     is_share, is_ratio = measure.is_share(results) and spread_at is None, test.factor is not None

@@ -5,6 +5,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from bojax.claims.holm import holm_intervals
 from bojax.claims.samples import Measure, interval_of, paired, stand_ins
 from bojax.claims.settings import Order
 from bojax.report import statistics
@@ -45,37 +46,19 @@ def order(results: Results, test: Order) -> Finding:
 
     sample = sums(numbers) + constant
     weights = sums(np.eye(len(test.names))).T  # sums of unit vectors
-    means = np.zeros((0, len(pairs)))
-    is_resampled = not is_share and len(table) >= statistics.FEW
-    if is_resampled:
-        means = statistics.bootstrap_means(sample)
 
-    def bounds_at(level: float, pair: int) -> tuple[float, float]:
-        if is_resampled:
-            return statistics.central(means[:, pair], level)
-        if is_share:
-            found = statistics.paired_shares(numbers, weights[pair], level)
-            return found.low + constant, found.high + constant
-        found = statistics.interval_of_means(lambda means: means, sample[:, pair], level)
-        return found.low, found.high
+    def share_bounds(pair: int, tail: float) -> tuple[float, float]:
+        found = statistics.paired_shares(numbers, weights[pair], tail)
+        return found.low + constant, found.high + constant
 
-    if is_resampled:
-        above, below = (means <= 0).mean(axis=0), (means >= 0).mean(axis=0)
-    else:
-        each = range(len(pairs))
-        above = [statistics.p_value(lambda level, k=k: bounds_at(level, k)[0] > 0) for k in each]
-        below = [statistics.p_value(lambda level, k=k: bounds_at(level, k)[1] < 0) for k in each]
-    low_levels, high_levels = (
-        statistics.holm_levels(each, statistics.tail_in_use()) for each in (above, below)
-    )
     comparisons = []
-    for k, (a, b) in enumerate(pairs):
+    intervals = holm_intervals(sample, share_bounds if is_share else None)
+    for (a, b), interval in zip(pairs, intervals, strict=True):
         of = _difference(a, b, sign)
         if margin:
             allowance = f" ({_difference(b, baseline, sign)})" if baseline is not None else ""
             of += f" {'+' if margin > 0 else '-'} {abs(margin):g}{allowance}"
-        low, high = bounds_at(low_levels[k], k)[0], bounds_at(high_levels[k], k)[1]
-        comparisons.append(Comparison(of, statistics.Interval(float(sample[:, k].mean()), low, high)))
+        comparisons.append(Comparison(of, interval))
     by_mean = sorted((name for tier in tiers for name in tier), key=lambda name: -sign * values[name].mean())
     return Finding.between(
         0.0,

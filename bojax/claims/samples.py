@@ -35,8 +35,8 @@ class Measure:
 
     @classmethod
     def of(cls, test: Measured) -> "Measure":
-        """The number that a test's `column`, `window` and `since` define."""
-        return cls(test.column, test.window, test.since, statistic=test.statistic)
+        """The number that a test's `column`, `step` or `window`, and `since` define."""
+        return cls(test.column, test.place, test.since, statistic=test.statistic)
 
     @property
     def may_lack(self) -> float:
@@ -52,7 +52,8 @@ class Measure:
         if self.place is None:
             return self.column
         if isinstance(self.place, int):
-            return f"{self.column} at step {self.place}"
+            since = "" if self.since is None else f", less that at step {self.since}"
+            return f"{self.column} at step {self.place}{since}"
         since = f", less that of {episodes_in(self.since)}" if isinstance(self.since, Window) else ""
         statistic = "mean" if self.statistic == "mean" else "standard deviation of"
         return f"{statistic} {self.column} of {episodes_in(self.place)}{since}"

@@ -23,25 +23,45 @@ _Tier = Annotated[
 """A name, or several names that are not compared with each other."""
 
 
+_Place = Annotated[
+    Annotated[Annotated[int, Field(ge=1)], pydantic.Tag("step")] | Annotated[Window, pydantic.Tag("window")],
+    pydantic.Discriminator(lambda value: "window" if isinstance(value, Mapping | Window) else "step"),
+]
+"""A step, or a window of episodes."""
+
+
 class Measured(Test, frozen=True):
-    """A test of one number per run: of runs.parquet, or a mean over episodes."""
+    """A test of one number per run: of runs.parquet, at a step, or a mean over episodes."""
 
     column: str = Field(description="a column of runs.parquet, or of episodes.parquet if a window is given")
     window: Window | None = Field(
         default=None, description="episodes over which the column is averaged within a run"
     )
-    since: Window | None = Field(
-        default=None, description="episodes whose mean is subtracted from that of window, to test a change"
+    step: int | None = Field(
+        default=None, ge=1, description="step at which a column of steps.parquet is taken, in place of window"
+    )
+    since: _Place | None = Field(
+        default=None,
+        description="step or episodes whose value is subtracted, to test a change up to step or window",
     )
     statistic: Literal["mean", "sd"] = Field(
         default="mean",
         description="statistic of the episodes of a window within a run: mean, or standard deviation",
     )
 
+    @property
+    def place(self) -> int | Window | None:
+        """The step or the episodes at which the column is taken; None for a column of runs.parquet."""
+        return self.step if self.window is None else self.window
+
     @pydantic.model_validator(mode="after")
-    def _since_of_a_window(self) -> Self:
-        if self.since is not None and self.window is None:
-            raise ValueError("since: needs a window, from whose mean it is subtracted")
+    def _one_place(self) -> Self:
+        if self.step is not None and self.window is not None:
+            raise ValueError(f"{self.kind}: give either step or window")
+        if self.since is not None and type(self.since) is not type(self.place):
+            raise ValueError("since: needs a step if since is a step, and a window if it is a window")
+        if isinstance(self.since, int) and self.step is not None and self.since >= self.step:
+            raise ValueError(f"step must lie after since, which is {self.since}")
         if self.statistic == "sd" and self.window is None:
             raise ValueError("statistic: needs a window of episodes")
         return self
@@ -141,13 +161,6 @@ class Ratio(Measured, frozen=True):
         return self
 
 
-_Place = Annotated[
-    Annotated[Annotated[int, Field(ge=1)], pydantic.Tag("step")] | Annotated[Window, pydantic.Tag("window")],
-    pydantic.Discriminator(lambda value: "window" if isinstance(value, Mapping | Window) else "step"),
-]
-"""A step, or a window of episodes."""
-
-
 class Similar(Measured, frozen=True):
     """Whether means differ by less than a margin or a factor: of runs, over episodes, or at a step."""
 
@@ -156,9 +169,6 @@ class Similar(Measured, frozen=True):
     kind: Literal["similar"] = "similar"
     labels: tuple[str, ...] = Field(
         strict=False, min_length=2, description="labels or variants whose means are compared"
-    )
-    step: int | None = Field(
-        default=None, ge=1, description="step at which a column of steps.parquet is compared"
     )
     margin: float | None = Field(default=None, gt=0, description="largest difference between two means")
     factor: float | None = Field(
@@ -171,14 +181,11 @@ class Similar(Measured, frozen=True):
     @pydantic.model_validator(mode="after")
     def _distinct_labels_at_one_place(self) -> Self:
         _distinct(self.labels, "labels")
-        if self.step is not None and self.window is not None:
-            raise ValueError("similar: give either step or window")
         if (self.margin is None) == (self.factor is None):
             raise ValueError("similar: give either margin or factor")
         if self.spread_at is not None and self.margin is None:
             raise ValueError("spread_at: needs a margin, which is a share of the range of the means there")
-        place = self.step or self.window
-        if self.spread_at is not None and type(self.spread_at) is not type(place):
+        if self.spread_at is not None and type(self.spread_at) is not type(self.place):
             raise ValueError("spread_at: needs a step if step is given, and a window if window is given")
         return self
 
@@ -208,16 +215,25 @@ class Share(OfOneLabel, frozen=True):
 
 
 class Mean(Measured, OfOneLabel, frozen=True):
-    """Whether the mean of a column is above or below a threshold, or between two."""
+    """Whether the mean of a column, or each of several, is above or below a threshold, or between two."""
 
     target: ClassVar[str] = "bojax.claims.means:mean"
 
     kind: Literal["mean"] = "mean"
     above: float | None = Field(default=None, description="threshold that the mean exceeds")
     below: float | None = Field(default=None, description="threshold that the mean stays under")
+    also: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="further columns whose means have to be on the same side of the only threshold, with "
+        "Holm's correction over all columns",
+    )
 
     @pydantic.model_validator(mode="after")
     def _a_threshold(self) -> Self:
+        _distinct((self.column, *self.also), "also")
+        if self.also and self.above is not None and self.below is not None:
+            raise ValueError("also: needs a single threshold, above or below")
         if self.above is None and self.below is None:
             raise ValueError("mean: give above, below, or both")
         if self.above is not None and self.below is not None and self.above >= self.below:

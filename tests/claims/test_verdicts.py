@@ -248,6 +248,63 @@ class TestRatio:
         seldom_decided(lambda seed: normal({"a": 15.0, "b": 10.0}, runs=60, seed=seed), RATIO, monkeypatch)
 
 
+class TestMeans:
+    """Several means against one threshold, as those of the four corners of a map."""
+
+    TEST = {"kind": "mean", "label": "a", "column": "first", "also": ["second", "third"], "above": 0.0}
+
+    def results(self, means, runs=200, seed=0):
+        random = np.random.default_rng(seed)
+        shared = random.normal(size=runs)
+        names = ("first", "second", "third")
+        columns = {
+            name: mean + shared + random.normal(size=runs) for name, mean in zip(names, means, strict=True)
+        }
+        return in_memory({"a": columns})
+
+    def test_all_have_to_exceed_it_and_one_that_does_not_decides(self):
+        for last, verdict in ((1.0, YES), (0.0, OPEN), (-1.0, NO)):
+            finding = judge(self.results((1.0, 1.0, last)), self.TEST)
+            assert finding.verdict == verdict
+            assert [each.of for each in finding.comparisons] == ["first of a", "second of a", "third of a"]
+            assert finding.decisive.of == ("third of a" if verdict != YES else finding.decisive.of)
+            # The threshold moves with the means, and the other side has the other verdict.
+            moved = {**self.TEST, "above": 5.0}
+            assert judge(self.results((6.0, 6.0, last + 5.0)), moved).verdict == verdict
+        below = {key: value for key, value in self.TEST.items() if key != "above"} | {"below": 0.0}
+        assert judge(self.results((-1.0, -1.0, -1.0)), below).verdict == YES
+        assert judge(self.results((-1.0, -1.0, 1.0)), below).verdict == NO
+
+    def test_the_mean_of_the_least_of_them_is_another_statistic(self):
+        """With noise larger than the means, the least of three is below 0 in most runs and on average."""
+        results = self.results((0.5, 0.5, 0.5), runs=400)
+        least = np.min([results.runs[name] for name in ("first", "second", "third")], axis=0)
+        assert least.mean() < -0.1
+        assert judge(results, self.TEST).verdict == YES
+
+    def test_where_all_means_are_on_the_threshold_it_is_seldom_refuted(self, monkeypatch):
+        """Holm's correction holds over the three means: none is below 0."""
+
+        def on_the_threshold(seed):
+            return self.results((0.0, 0.0, 0.0), runs=60, seed=seed)
+
+        seldom_decided(on_the_threshold, self.TEST, monkeypatch, 0.05, 0.07)
+
+    def test_shares_are_refused(self):
+        results = in_memory({"a": {name: np.ones(40, dtype=bool) for name in ("first", "second", "third")}})
+        with pytest.raises(Undecidable, match="Booleans"):
+            judge(results, self.TEST)
+
+
+def test_the_change_between_two_steps_is_compared():
+    results = curves(5.0)  # `b` has 5 more at step 4, and as much more as `a` at no other step
+    late = {**ORDER, "step": 4, "since": 3, "less": ["a", "b"]}
+    assert judge(results, late).verdict == YES
+    assert judge(results, {**late, "step": 6, "since": 5}).verdict == OPEN
+    assert judge(results, {**late, "less": ["b", "a"]}).verdict == NO
+    assert "value at step 4, less that at step 3" in judge(results, late).method
+
+
 class TestSimilar:
     def test_differences_are_held_against_a_share_of_the_spread(self):
         for gap, verdict in ((0.0, YES), (1.0, OPEN), (3.0, NO)):

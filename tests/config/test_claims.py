@@ -29,6 +29,8 @@ READ = """\
 - {kind: mean, label: a, column: r, above: 0, below: 1}
 - {kind: mean, label: a, column: r, above: 0, window: {from: 31, to: 100, phase: test, counted_from:
   first-success, missing: 0.05}, statistic: sd}
+- {kind: mean, label: a, column: r, above: 0, also: [s, t]}
+- {kind: order, column: r, step: 50, since: 40, greater: [a, b]}
 - {kind: latency, labels: [a, b]}
 - {kind: latency, labels: [a], below: 5.0}
 - {kind: trend, label: a, column: r, from: 1, to: 2, direction: rises}
@@ -45,12 +47,20 @@ def test_a_test_reads_as_it_was_written():
         given = {key: value for key, value in written.items() if value is not None}
         assert validated(given) == validated(test)
         for key, value in test.items():
-            assert written[key] == ({**DEFAULTS, **value} if isinstance(value, dict) else value)
+            assert written[key] == ({**DEFAULTS, **value} if isinstance(value, dict) else value), key
 
 
 REFUSED = """\
 {kind: order, column: r, since: {from: 31, to: 100}, greater: [a, b]}
-=> since: needs a window
+=> since: needs a step if since is a step, and a window if it is a window
+{kind: order, column: r, step: 5, since: {from: 31, to: 100}, greater: [a, b]}
+=> since: needs a step
+{kind: mean, label: a, column: r, step: 5, since: 5, above: 0}
+=> step must lie after since, which is 5
+{kind: mean, label: a, column: r, also: [r], above: 0}
+=> also: duplicate name
+{kind: mean, label: a, column: r, also: [s], above: 0, below: 1}
+=> also: needs a single threshold
 {kind: mean, label: a, column: r, above: 0, statistic: sd}
 => statistic: needs a window
 {kind: mean, label: a, column: r, above: 0, window: {from: 31, to: 100, missing: 0.1}}
