@@ -18,6 +18,7 @@ ERROR_COLUMNS: Table = (
     Column("wrmse_gradient", "float64", "", "the same, weighted by the gradient as printed in (3.7)"),
     Column("wrmse_value", "float64", "", "the same, weighted by the value"),
     Column("mnll", "float64", "", "mean negative log likelihood of the field under the final belief"),
+    Column("mean_std", "float64", "", "mean standard deviation of the final belief"),
 )
 
 
@@ -49,6 +50,7 @@ def field_errors(
         "wrmse_gradient": weighted("gradient"),
         "wrmse_value": weighted("value"),
         "mnll": jnp.sum(counts * nll) / number,
+        "mean_std": jnp.sum(counts * jnp.sqrt(variance)) / number,
     }
 
 

@@ -354,6 +354,7 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     printed = np.asarray(weigh(problem.field, f64(grid), "gradient"))[is_open]
     np.testing.assert_allclose(found["wrmse_gradient"], np.sqrt((printed * squared).mean()), rtol=1e-9)
     np.testing.assert_allclose(found["mnll"], nll.mean(), rtol=1e-9)
+    np.testing.assert_allclose(found["mean_std"], np.sqrt(variance[is_open]).mean(), rtol=1e-9)
     assert found["collisions"] == 3
     np.testing.assert_allclose(found["sampled_gradient"], 6.0 / max(count, 1))
 

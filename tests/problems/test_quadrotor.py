@@ -15,7 +15,7 @@ from bojax.fields.settings import Bumps
 from bojax.models.settings import ConstantMean, Matern12, Scaled
 from bojax.motions.base import place
 from bojax.motions.splines import SplineSet
-from bojax.problems.mapping import Map, final_map
+from bojax.problems.mapping import CORNERS, Map, final_map
 from bojax.problems.sensors import RangeSensor
 from bojax.problems.settings import HillyTerrain, IndoorProps, Range, TwoPits
 from bojax.problems.vehicles import settings as vehicles
@@ -314,8 +314,9 @@ def test_scores_are_those_of_the_grid(room):
     error = np.asarray(found.mean) - truth
     offset, centred = error.mean(), error - error.mean()
     rms = lambda where: np.sqrt(np.mean(centred[where] ** 2))  # noqa: E731
-    corners = [a & b for a in (x <= 0.6, x >= 2.4) for b in (y <= 0.6, y >= 2.4)]
-    rest = ~np.any(corners, axis=0)
+    south, north, west, east = y <= 0.6, y >= 2.4, x <= 0.6, x >= 2.4
+    corners = {"sw": south & west, "nw": north & west, "se": south & east, "ne": north & east}
+    rest = ~np.any([*corners.values()], axis=0)
     std = np.asarray(found.std)
     distance = np.min(np.hypot(x[:, None] - points[:, 0], y[:, None] - points[:, 1]), axis=1)
     far = distance >= np.quantile(distance, 0.75)
@@ -329,8 +330,9 @@ def test_scores_are_those_of_the_grid(room):
         "offset": offset,
         "spread": error.std(),
         "explained_variance": 1 - error.var() / truth.var(),
-        "corner_error": min(map(rms, corners)) - rms(rest),
-        "corner_std": min(std[each].mean() for each in corners) - std[rest].mean(),
+        "mean_std": std.mean(),
+        **{f"corner_error_{name}": rms(where) - rms(rest) for name, where in corners.items()},
+        **{f"corner_std_{name}": std[where].mean() - std[rest].mean() for name, where in corners.items()},
         "sparse_error": rms(far),
         "edge_error": rms(edge),
         "edge_excess": rms(edge) - rms(~edge),
@@ -344,7 +346,8 @@ def test_scores_of_regions_without_a_grid_point_are_null_and_a_flat_field_has_no
     """A coarse grid has no point at an edge or outside of the corners, and the floor there is flat."""
     coarse = dataclasses.replace(room, resolution=2)
     score, _ = scored(coarse, np.array([[0.5, 0.5], [2.0, 1.0]]), np.array([0.1, 0.2]))
-    names = ["explained_variance", "corner_error", "corner_std", "edge_error", "edge_excess"]
+    corners = [f"corner_{score}_{corner}" for score in ("error", "std") for corner in CORNERS]
+    names = ["explained_variance", *corners, "edge_error", "edge_excess"]
     assert {name for name, value in score.items() if np.isnan(value)} == {*names}
     assert all(np.isfinite(value) for name, value in score.items() if name not in names)
     table = to_arrow(room.scores, {name: np.array([value]) for name, value in score.items()})
