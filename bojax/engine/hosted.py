@@ -43,7 +43,7 @@ class Hosted(Programs):
     _is_compiled = False
 
     def _open(self, run: LearningRun) -> None:
-        self._num_tests, self._tests_learn, self._block = run.tests, run.tests_learn, run.learner.block
+        self._num_tests, self._tests_learn, self._block = run.tests, run.learns_in_tests, run.learner.block
         self._env: Any = run.env
         self._dtype = run.learner.exploration_weight.dtype
         self._vector = self._env.make_vector(self.num_lanes)

@@ -83,7 +83,7 @@ class LearningRun(Experiment):
     starts: Literal["per-episode", "per-run"] = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
-    tests_learn: bool = eqx.field(static=True)
+    tests_learn: Literal["no", "exploiting", "exploring"] = eqx.field(static=True)
     map_episodes: tuple[int, ...] = eqx.field(static=True)
     map_resolution: int = eqx.field(static=True)
 
@@ -147,7 +147,7 @@ class LearningRun(Experiment):
     def init(self, key: Key[Array, ""]) -> RunState:
         learner = self.saved
         if learner is None:
-            episodes = self.episodes * (1 + self.tests * self.tests_learn)
+            episodes = self.episodes * (1 + self.tests * self.learns_in_tests)
             learner = self.new_learner(jax.random.fold_in(key, 0), episodes * self.env.max_steps)
         zero, never = jnp.zeros((), jnp.int32), jnp.full((), -1, jnp.int32)
         number = jnp.zeros((), self._dtype)
@@ -197,7 +197,7 @@ class LearningRun(Experiment):
             # Tests that learn change the learner in turn. Others depend on nothing but the learner, and are
             # one batch, which shares it.
             numbers = jnp.arange(1, self.tests + 1)
-            if self.tests_learn:
+            if self.learns_in_tests:
                 learner, tests = jax.lax.scan(run_test, learner, numbers)
             else:
                 tests = jax.vmap(lambda number: run_test(learner, number)[1], axis_name=EPISODES)(numbers)
@@ -261,8 +261,12 @@ class LearningRun(Experiment):
 
     def test(self, carry: RunState, number: Int[Array, ""]) -> Phase:
         """A test episode after the training episode; the first one has number 1."""
-        exploration = self.training(carry).exploration if self.tests_learn else self.exploiting
-        return self._phase(carry, 2 * number, self.exploiting, exploration, learns=self.tests_learn)
+        exploration = self.training(carry).exploration
+        if self.tests_learn == "exploiting":
+            exploration = replace(exploration, scale=self.exploiting.scale)
+        if not self.learns_in_tests:
+            exploration = self.exploiting
+        return self._phase(carry, 2 * number, self.exploiting, exploration, learns=self.learns_in_tests)
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
         """Initial state and observation of an episode of a compiled environment."""
@@ -276,7 +280,7 @@ class LearningRun(Experiment):
 
     def end_test(self, carry: RunState, number: Int[Array, ""], episode: EpisodeState) -> LearnerState:
         """The learner after a test episode."""
-        if not self.tests_learn:
+        if not self.learns_in_tests:
             return episode.learner
         return self.test(carry, number).end(self._key(carry, 2 * number + 1), episode)
 
@@ -349,6 +353,11 @@ class LearningRun(Experiment):
         )
         tables = {"episodes": rows, "steps": self._rows.table(episode.rows, episode.length, number)}
         return after, Records(tables=tables, active_steps=num_steps)
+
+    @property
+    def learns_in_tests(self) -> bool:
+        """Whether tests change the learner."""
+        return self.tests_learn != "no"
 
     @property
     def exploiting(self) -> ExplorationState:

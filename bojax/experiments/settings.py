@@ -69,7 +69,11 @@ class Learning(ExperimentSettings, frozen=True):
         default="never", description="early end of a run: at its first success, or above target_return"
     )
     tests: int = Field(default=0, ge=0, description="number of tests after each episode; they do not explore")
-    tests_learn: bool = Field(default=False, description="whether the learner keeps learning in its tests")
+    tests_learn: Literal["no", "exploiting", "exploring"] = Field(
+        default="no",
+        description="whether the learner keeps learning in its tests, which do not explore: no; from rewards "
+        "alone, as in pure exploitation; or with the exploration rewards of training",
+    )
     target_return: float | None = Field(
         default=None, description="return that all tests after an episode have to exceed; null for none"
     )

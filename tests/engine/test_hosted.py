@@ -164,7 +164,7 @@ def test_a_sweep_goes_on_after_an_environment_crashed(finished, tmp_path):
 
 
 @pytest.mark.bits
-@pytest.mark.parametrize("tests_learn", by_tier([False, True], normal=[True]))
+@pytest.mark.parametrize("tests_learn", by_tier(["no", "exploiting", "exploring"], normal=["exploring"]))
 def test_is_what_the_compiled_run_does(tests_learn):
     """One of our environments, stepped on the host, ends in the tables of its compiled run."""
     from bojax.envs.settings import Chain
@@ -197,7 +197,7 @@ class OurHosted(Hosted):
     """Steps one of our environments with the keys of the compiled run, in place of a vector environment."""
 
     def _open(self, run):
-        self._num_tests, self._tests_learn, self._block = run.tests, run.tests_learn, run.learner.block
+        self._num_tests, self._tests_learn, self._block = run.tests, run.learns_in_tests, run.learner.block
         self._dtype = run.learner.exploration_weight.dtype
         self._our_reset = self._program(our_reset)
         self._our_step = self._program(our_step)

@@ -315,7 +315,12 @@ def test_episodes_of_a_run_share_their_start_where_they_are_to(starts):
 )
 def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
     run = run_of(
-        env=CHAIN, learner=learner, tests=3, tests_learn=True, target_return=0.5, schedule="until-target"
+        env=CHAIN,
+        learner=learner,
+        tests=3,
+        tests_learn="exploring",
+        target_return=0.5,
+        schedule="until-target",
     )
     history = History(run)
     visits = np.asarray(history.carry.learner.visits).sum((-2, -1))
@@ -324,6 +329,27 @@ def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
         learned = rows["episode"] <= reached if reached > 0 else np.full(len(rows["episode"]), True)
         assert visits[lane] == rows["length"][learned].sum()
         assert np.all(rows["kappa"][rows["phase"] == 1] == 0.0)
+
+
+def test_tests_learn_with_the_exploration_rewards_of_training_only_where_they_are_to():
+    """No reward of the chain is negative: without a bonus, the least Q cannot fall, as it does with one."""
+
+    def values(**settings):
+        history = History(run_of(env=CHAIN, learner="additive", episodes=1, **settings), lanes=8)
+        return np.asarray(history.carry.learner.columns)[..., 0], np.asarray(history.carry.learner.visits)
+
+    before, visited = values(tests=0)
+    assert np.all(before.min((1, 2)) < 0.0)
+    no, visited_no = values(tests=3)
+    np.testing.assert_array_equal(no, before)
+    np.testing.assert_array_equal(visited_no, visited)
+    least = {}
+    for tests_learn in ("exploiting", "exploring"):
+        after, visited_after = values(tests=3, tests_learn=tests_learn)
+        assert np.all(visited_after.sum((1, 2)) > visited.sum((1, 2)))
+        least[tests_learn] = after.min((1, 2))
+    assert np.all(least["exploiting"] >= before.min((1, 2)))
+    assert np.all(least["exploring"] < before.min((1, 2)))
 
 
 def test_a_target_is_reached_once_all_tests_of_a_round_exceed_it():
