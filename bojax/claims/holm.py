@@ -37,7 +37,9 @@ def holm_intervals(
     else:
         above = [statistics.p_value(lambda tail, k=k: bounds_at(k, tail)[0] > 0) for k in columns]
         below = [statistics.p_value(lambda tail, k=k: bounds_at(k, tail)[1] < 0) for k in columns]
-    low_tails, high_tails = (statistics.holm_levels(each, statistics.TAIL) for each in (above, below))
+    low_tails, high_tails = (
+        statistics.holm_levels(each, statistics.tail_in_use()) for each in (above, below)
+    )
     return [
         Interval(float(sample[:, k].mean()), bounds_at(k, low_tails[k])[0], bounds_at(k, high_tails[k])[1])
         for k in columns
