@@ -106,7 +106,9 @@ class Explanation(Schema, frozen=True):
         "behind it; few-runs: too few printed runs to tell the difference from chance; unexplained: nothing "
         "that was tried has shown a cause"
     )
-    text: str = Field(min_length=1, description="cause and evidence, a paragraph of plain text")
+    text: str = Field(
+        min_length=1, description="cause and evidence, a paragraph; results are references in braces"
+    )
     sweeps: tuple[str, ...] = Field(
         default=(), strict=False, description="names of the sweeps whose results are the evidence"
     )

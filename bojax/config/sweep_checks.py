@@ -6,6 +6,7 @@ from bojax.config.claims import Window
 from bojax.config.errors import ConfigError, allowed_names, did_you_mean, shown
 from bojax.config.figures import TABLES, figure_modules
 from bojax.config.files import available
+from bojax.config.references import OfClaim, Reference, matching, references
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -60,6 +61,40 @@ def check_sweep(sweep: "Sweep", file: str) -> None:
         for name in explanation.get("sweeps", ()):
             if name not in names:
                 raise ConfigError(f"{where}.sweeps: got {shown(name)}{allowed_names(name, names)}")
+        try:
+            found = references(explanation["text"])
+        except ValueError as error:
+            raise ConfigError(f"{where}.text: {error}") from error
+        for reference in found:
+            if not reference.sweep:
+                check_reference(reference, sweep, f"{where}.text")
+            elif reference.sweep not in names:
+                raise ConfigError(
+                    f"{where}.text: got {shown(reference.sweep)}{allowed_names(reference.sweep, names)}"
+                )
+
+
+def check_reference(reference: Reference, sweep: "Sweep", where: str) -> None:
+    """Refuse a reference to a claim or a point that a sweep does not have.
+
+    Raises:
+        ConfigError: There is no such claim, or not exactly one such point.
+    """
+    if isinstance(reference, OfClaim):
+        ids = [claim.id for claim in sweep.claims]
+        if reference.claim not in ids:
+            raise ConfigError(
+                f"{where}: got {shown(reference.claim)}; unknown id{allowed_names(reference.claim, ids)}"
+            )
+        return
+    found = matching(sweep.points, reference.point)
+    if len(found) != 1:
+        known = dict.fromkeys(point.variant for point in sweep.points)
+        what = f"{len(found)} points, not one; add swept values (KEY VALUE)" if found else "unknown point"
+        raise ConfigError(
+            f"{where}: got {shown(reference.point)}; {what}{allowed_names(reference.point, known)}"
+        )
+    _check_column(sweep, None if reference.episodes else reference.column, where)
 
 
 def _check_column(sweep: "Sweep", column: str | None, where: str) -> None:

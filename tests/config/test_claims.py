@@ -124,6 +124,20 @@ UNEXPLAINED = """\
 => explanations.0.cause: got .luck.; allowed: .choice
 [{claims: []}]
 => explanations.0.claims
+[{claims: [a], text: "kCBTS returns {kcbt: steps}."}]
+=> explanations.0.text: got .kcbt.; unknown point; allowed: kcbts
+[{claims: [a], text: "{kcbts, depth 3: steps}"}]
+=> explanations.0.text: got .kcbts, depth 3.; unknown point
+[{claims: [a], text: "{study-tie / kcbts: steps}"}]
+=> explanations.0.text: got .study-tie.; .*study-ties
+[{claims: [a], text: "{claim b: verdict}"}]
+=> explanations.0.text: got .b.; unknown id; allowed: a
+[{claims: [a], text: "{claim a: colour}"}]
+=> explanations.0.text: got {claim a: colour}; allowed after the colon: verdict, here, interval, share
+[{claims: [a], text: "{kcbts}"}]
+=> explanations.0.text: got {kcbts}; allowed: {POINT: COLUMN}
+[{claims: [a], text: "{kcbts: steps"}]
+=> explanations.0.text: got a brace without its counterpart
 """
 
 
