@@ -71,7 +71,8 @@ def _means(results: Results, test: Mean, measure: Measure) -> Finding:
         ours=ours,
         runs=len(table),
         method=f"means over runs of {counted(len(measures), 'column')}, each {side} {threshold:g}, one-sided "
-        f"at {statistics.tail_in_use():.1%} with Holm's correction over the columns, intervals at these levels; "
+        f"at {statistics.tail_in_use():.1%} with Holm's correction over the columns, intervals at these "
+        f"levels; "
         f"{interval_of(len(table))}",
         chosen=chosen,
     )
