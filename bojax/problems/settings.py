@@ -167,13 +167,16 @@ class _Parking(ProblemSettings, frozen=True):
         description="the bearing (beta): direction of the robot seen from the spot, or of the spot relative "
         "to the robot's heading",
     )
-    success_needs_bearing: bool = Field(default=False, description="whether parking needs the bearing")
+    rule: Literal["printed", "bearing-dropped", "anywhere", "anywhere-bearing-dropped"] = Field(
+        default="printed",
+        description="when the robot is parked: (4.13) as printed, with distance, heading and bearing at the "
+        "end of a path; without the bearing; at any pose of a path; or at any pose without the bearing",
+    )
     exit_terminates: bool = Field(
         default=True,
         description="whether leaving the domain ends the episode; otherwise exit_reward is paid each time "
         "that a path leads out of it",
     )
-    park_along_path: bool = Field(default=True, description="whether every pose of a path can park")
     vehicle: _Vehicle = Exact()
 
     @property

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 from bojax.motions.base import place
+from bojax.problems.parking import RULES
 from tests.motions.families import FAMILIES, all_paths
 from tests.planning.samples import parking
 from tests.reference.parking import Parking as ParkingReference
@@ -19,9 +20,8 @@ D_MAX = 2.0**0.5 * 4.0
 
 CHOICES = {
     "bearing": ("world", "robot"),
-    "success_needs_bearing": (False, True),
+    "rule": RULES,
     "exit_terminates": (False, True),
-    "park_along_path": (False, True),
 }
 
 

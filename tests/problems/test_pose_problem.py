@@ -11,7 +11,11 @@ from tests.motions.families import FAMILIES, all_paths, wrapped
 from tests.planning.samples import parking
 from tests.problems.goal_disc import goal_disc
 
-PROBLEMS = {"parking": parking(), "parking-on": parking(exit_terminates=False), "disc": goal_disc()}
+PROBLEMS = {
+    "parking": parking(),
+    "parking-on": parking(exit_terminates=False, rule="anywhere-bearing-dropped"),
+    "disc": goal_disc(),
+}
 each_problem = pytest.mark.parametrize("name", PROBLEMS)
 
 NUM = 3000

@@ -10,6 +10,7 @@ import numpy as np
 
 from bojax.acquisition import functions
 from bojax.models import kernels, means
+from bojax.numerics.choices import Choice
 from bojax.numerics.linalg import noise_floor
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
@@ -186,4 +187,6 @@ def _noise_variance(kernel, noise_variance) -> float:
 
 
 def _plain(value):
+    if isinstance(value, Choice):
+        return value.names[int(value.index)]
     return float(value) if isinstance(value, jax.Array) else value

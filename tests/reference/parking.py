@@ -29,9 +29,8 @@ class Parking:
     success_reward: float = 1000.0
     exit_reward: float = -1000.0
     bearing: str = "world"
-    success_needs_bearing: bool = False
+    rule: str = "printed"
     exit_terminates: bool = True
-    park_along_path: bool = True
 
     def drive(self, pose, path, draws=None):
         """The pose, the reward and whether the episode is over after driving `path`; nothing is drawn."""
@@ -47,7 +46,7 @@ class Parking:
                 if self.exit_terminates:
                     return Outcome("exit", self.exit_reward, True, False, True, index)
                 exited = exited or self.is_inside(start)
-            if self.is_parked(pose) and (self.park_along_path or index == len(path) - 1):
+            if self.is_parked(pose) and (self.rule.startswith("anywhere") or index == len(path) - 1):
                 return Outcome("parked", self.success_reward, True, True, exited, index)
         branch, reward = ("exit", self.exit_reward) if exited else self.shaped(path[-1])
         return Outcome(branch, reward, False, False, exited, len(path) - 1)
@@ -56,7 +55,7 @@ class Parking:
         return abs(pose[0]) <= self.half_width and abs(pose[1]) <= self.half_width
 
     def is_parked(self, pose) -> bool:
-        if self.success_needs_bearing and self.off_axis(pose) > self.bearing_tolerance:
+        if not self.rule.endswith("bearing-dropped") and self.off_axis(pose) > self.bearing_tolerance:
             return False
         return hypot(pose[0], pose[1]) <= self.distance_tolerance and not self.is_off_heading(pose)
 
