@@ -1,0 +1,174 @@
+"""Action spaces of state problems: planners search parameters in [-1, 1]^P, problems act on arrays."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, Num
+from typing_extensions import override
+
+
+class ActionSpace(eqx.Module):
+    """The actions of a problem, and the parameters by which a planner names them."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> int:
+        """Number of parameters."""
+
+    @abc.abstractmethod
+    def decode(self, parameters: Num[Array, "P"]) -> Float[Array, "K"]:
+        """The action of parameters in [-1, 1]; those of `Discrete` are an index."""
+
+    @abc.abstractmethod
+    def sample(self, key: Key[Array, ""]) -> Num[Array, "P"]:
+        """Parameters of a random action."""
+
+    @abc.abstractmethod
+    def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
+        """Whether an action, decoded, belongs to the space."""
+
+
+class Box(ActionSpace):
+    """Vectors between two bounds; a random action is uniform.
+
+    Attributes:
+        low: Lower bounds.
+        high: Upper bounds.
+    """
+
+    low: Float[Array, "K"]
+    high: Float[Array, "K"]
+
+    @property
+    @override
+    def size(self) -> int:
+        return self.low.shape[0]
+
+    @override
+    def decode(self, parameters: Float[Array, "K"]) -> Float[Array, "K"]:
+        return self.low + 0.5 * (parameters + 1.0) * (self.high - self.low)
+
+    @override
+    def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
+        return jax.random.uniform(key, self.low.shape, self.low.dtype, -1.0, 1.0)
+
+    @override
+    def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
+        return jnp.all((self.low <= action) & (action <= self.high))
+
+
+class Discrete(ActionSpace):
+    """A finite list of actions; the only parameter is an index, and a random action is uniform.
+
+    Attributes:
+        values: The actions.
+    """
+
+    values: Float[Array, "A K"]
+
+    @property
+    @override
+    def size(self) -> int:
+        return 1
+
+    @property
+    def count(self) -> int:
+        """Number of actions."""
+        return self.values.shape[0]
+
+    @override
+    def decode(self, parameters: Num[Array, "1"]) -> Float[Array, "K"]:
+        return self.values[parameters[0].astype(jnp.int32)]
+
+    @override
+    def sample(self, key: Key[Array, ""]) -> Int[Array, "1"]:
+        return jax.random.randint(key, (1,), 0, self.count, jnp.int32)
+
+    @override
+    def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
+        return jnp.any(jnp.all(self.values == action[None], axis=1))
+
+
+class Mixed(ActionSpace):
+    """A vector of a box, then one of a few levels: [-1, 1] is divided equally among the levels.
+
+    Attributes:
+        box: Space of the vector.
+        levels: Values of the last component.
+    """
+
+    box: Box
+    levels: Float[Array, "L"]
+
+    @property
+    @override
+    def size(self) -> int:
+        return self.box.size + 1
+
+    @override
+    def decode(self, parameters: Float[Array, "K"]) -> Float[Array, "K"]:
+        count = self.levels.shape[0]
+        level = jnp.ceil(0.5 * (parameters[-1] + 1.0) * count).astype(jnp.int32) - 1
+        return jnp.append(self.box.decode(parameters[:-1]), self.levels[jnp.clip(level, 0, count - 1)])
+
+    @override
+    def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
+        return jax.random.uniform(key, (self.size,), self.levels.dtype, -1.0, 1.0)
+
+    @override
+    def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
+        return self.box.contains(action[:-1]) & jnp.any(self.levels == action[-1])
+
+
+class Balls(ActionSpace):
+    """One vector of bounded length for each agent; a random action is uniform in the balls.
+
+    Attributes:
+        radius: Greatest length of a vector.
+        num_agents: Number of agents.
+        num_dims: Components of a vector.
+    """
+
+    radius: Float[Array, ""]
+    num_agents: int = eqx.field(static=True)
+    num_dims: int = eqx.field(static=True)
+
+    @property
+    @override
+    def size(self) -> int:
+        return self.num_agents * self.num_dims
+
+    @override
+    def decode(self, parameters: Float[Array, "K"]) -> Float[Array, "K"]:
+        # Along each ray from the centre, the cube is scaled to the ball.
+        vectors = self._vectors(parameters)
+        return (vectors * self.radius * _ratio(_largest(vectors), _length(vectors))).ravel()
+
+    @override
+    def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
+        shape, dtype = (self.num_agents,), self.radius.dtype
+        vectors = jax.random.ball(key, self.num_dims, shape=shape, dtype=dtype)
+        return (vectors * _ratio(_length(vectors), _largest(vectors))).ravel()
+
+    @override
+    def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
+        tolerance = 8.0 * jnp.finfo(self.radius.dtype).eps
+        return jnp.all(_length(self._vectors(action)) <= self.radius * (1.0 + tolerance))
+
+    def _vectors(self, action: Float[Array, "K"]) -> Float[Array, "N D"]:
+        return action.reshape(self.num_agents, self.num_dims)
+
+
+def _length(vectors: Float[Array, "N D"]) -> Float[Array, "N 1"]:
+    return jnp.sqrt(jnp.sum(vectors**2, axis=1, keepdims=True))
+
+
+def _largest(vectors: Float[Array, "N D"]) -> Float[Array, "N 1"]:
+    return jnp.max(jnp.abs(vectors), axis=1, keepdims=True)
+
+
+def _ratio(above: Float[Array, "N 1"], below: Float[Array, "N 1"]) -> Float[Array, "N 1"]:
+    """The ratio; 0 at the centre, where both are 0."""
+    return jnp.where(below > 0.0, above / jnp.where(below > 0.0, below, 1.0), 0.0)

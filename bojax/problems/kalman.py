@@ -1,0 +1,49 @@
+"""Gaussian beliefs of linear problems: the Kalman filter (Kalman, 1960), exact where particles are not."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class LinearGaussian(eqx.Module):
+    """A linear model: x' = A x + B a + noise, o = C x' + noise.
+
+    Attributes:
+        transition: A.
+        control: B.
+        sensor: C.
+        process_covariance: Covariance of the noise of x'.
+        sensor_covariance: Covariance of the noise of o.
+    """
+
+    transition: Float[Array, "D D"]
+    control: Float[Array, "D K"]
+    sensor: Float[Array, "O D"]
+    process_covariance: Float[Array, "D D"]
+    sensor_covariance: Float[Array, "O O"]
+
+
+class Gaussian(eqx.Module):
+    """A Gaussian belief."""
+
+    mean: Float[Array, "D"]
+    covariance: Float[Array, "D D"]
+
+    @property
+    def entropy(self) -> Float[Array, ""]:
+        """Half the log determinant of the covariance: the entropy up to a constant, in nats."""
+        return 0.5 * jnp.linalg.slogdet(self.covariance)[1]
+
+
+def update(
+    model: LinearGaussian, belief: Gaussian, action: Float[Array, "K"], observation: Float[Array, "O"]
+) -> Gaussian:
+    """The belief after an action and an observation."""
+    mean = model.transition @ belief.mean + model.control @ action
+    covariance = model.transition @ belief.covariance @ model.transition.T + model.process_covariance
+    innovation = model.sensor @ covariance @ model.sensor.T + model.sensor_covariance
+    gain = jnp.linalg.solve(innovation, model.sensor @ covariance).T
+    # Joseph's form: a sum of two positive semi-definite matrices, whatever the rounding of the gain.
+    kept = jnp.eye(mean.shape[0], dtype=mean.dtype) - gain @ model.sensor
+    updated = kept @ covariance @ kept.T + gain @ model.sensor_covariance @ gain.T
+    return Gaussian(mean + gain @ (observation - model.sensor @ mean), updated)

@@ -1,0 +1,126 @@
+"""Beliefs of weighted particles: the bootstrap filter (Gordon et al., 1993) with systematic resampling.
+
+Termination is observed: while an episode goes on, no terminal particle can be the state.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from bojax.problems.state_space import StateProblem
+
+
+class Particles(eqx.Module):
+    """A belief of `M` weighted states.
+
+    Attributes:
+        states: The states.
+        log_weights: Logarithms of the weights, which sum to 1.
+        terminal: Whether a state is terminal.
+    """
+
+    states: Float[Array, "M D"]
+    log_weights: Float[Array, "M"]
+    terminal: Bool[Array, "M"]
+
+    @property
+    def mean(self) -> Float[Array, "D"]:
+        """Weighted mean."""
+        return jnp.exp(self.log_weights) @ self.states
+
+    @property
+    def covariance(self) -> Float[Array, "D D"]:
+        """Weighted covariance; with equal weights, the sum is divided by M, not by M - 1."""
+        offsets = self.states - self.mean[None]
+        return (offsets * jnp.exp(self.log_weights)[:, None]).T @ offsets
+
+    @property
+    def entropy(self) -> Float[Array, ""]:
+        """Half the log determinant of the covariance: the entropy of a Gaussian up to a constant, in nats.
+
+        -inf if the states lie in a subspace.
+        """
+        return 0.5 * jnp.linalg.slogdet(self.covariance)[1]
+
+    def sample(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+        """A state drawn by weight."""
+        return self.states[jax.random.categorical(key, self.log_weights)]
+
+
+def initial(problem: StateProblem, key: Key[Array, ""], num_particles: int) -> Particles:
+    """The initial belief: particles of equal weight."""
+    states = jax.vmap(problem.initial)(jax.random.split(key, num_particles))
+    return Particles(states, _equal(states), jnp.zeros(num_particles, bool))
+
+
+def update(
+    problem: StateProblem,
+    key: Key[Array, ""],
+    particles: Particles,
+    action: Float[Array, "K"],
+    observation: Float[Array, "O"],
+) -> tuple[Particles, Bool[Array, ""]]:
+    """The belief after an action and an observation, and whether it has collapsed, see `condition`."""
+    propagate_key, condition_key = jax.random.split(key)
+    moved, _ = propagate(problem, propagate_key, particles, action)
+    return condition(problem, condition_key, particles, action, moved, observation)
+
+
+def propagate(
+    problem: StateProblem, key: Key[Array, ""], particles: Particles, action: Float[Array, "K"]
+) -> tuple[Particles, Float[Array, "M"]]:
+    """The particles after an action, each in its place and with its weight, and the reward of each."""
+    keys = jax.random.split(key, particles.states.shape[0])
+    states, rewards, terminated = jax.vmap(problem.step, (0, 0, None))(keys, particles.states, action)
+    return Particles(states, particles.log_weights, particles.terminal | terminated), rewards
+
+
+def condition(
+    problem: StateProblem,
+    key: Key[Array, ""],
+    before: Particles,
+    action: Float[Array, "K"],
+    moved: Particles,
+    observation: Float[Array, "O"],
+) -> tuple[Particles, Bool[Array, ""]]:
+    """Weigh moved particles by an observation of a state that is not terminal, and resample.
+
+    The belief has collapsed if no weight is left, or one is NaN. Then the moved particles that are not
+    terminal, or if there are none all of them, stay with equal weights.
+    """
+    likelihood = jax.vmap(problem.log_likelihood, (None, 0, None, 0))
+    log_likelihoods = likelihood(observation, before.states, action, moved.states)
+    log_weights = jnp.where(moved.terminal, -jnp.inf, moved.log_weights + log_likelihoods)
+    # A maximum of NaN or infinity is not finite.
+    collapsed = ~jnp.isfinite(jnp.max(log_weights))
+    left = jnp.where(moved.terminal & ~jnp.all(moved.terminal), -jnp.inf, 0.0).astype(log_weights.dtype)
+    indices = systematic(key, jnp.where(collapsed, left, log_weights))
+    return Particles(moved.states[indices], _equal(moved.states), moved.terminal[indices]), collapsed
+
+
+def systematic(
+    key: Key[Array, ""], log_weights: Float[Array, "M"], num: int | None = None
+) -> Int[Array, "N"]:
+    """Indices drawn by systematic resampling: one uniform number places `num` equidistant points.
+
+    Args:
+        key: A random key.
+        log_weights: Logarithms of weights, which need not sum to 1; one at least is finite.
+        num: Number of indices; None for as many as there are weights.
+    """
+    num = log_weights.shape[0] if num is None else num
+    weights = jnp.exp(log_weights - jnp.max(log_weights))
+    # A prefix sum that is computed in parallel may fall or rise by rounding where a weight is 0: such a
+    # particle takes the sum before it, so that it owns no point.
+    ends = jax.lax.cummax(jnp.where(weights > 0.0, jnp.cumsum(weights), 0.0))
+    offset = jax.random.uniform(key, (), weights.dtype)
+    # Particle i owns the points j with ends[i - 1] <= (j + offset) / num < ends[i], in units of the sum.
+    bounds = jnp.ceil(num * (ends / ends[-1]) - offset).astype(jnp.int32)
+    bounds = jnp.where(ends >= ends[-1], num, bounds)
+    return jnp.cumsum(jnp.zeros(num, jnp.int32).at[bounds].add(1, mode="drop"), dtype=jnp.int32)
+
+
+def _equal(states: Float[Array, "M D"]) -> Float[Array, "M"]:
+    """Logarithms of equal weights."""
+    return jnp.full(states.shape[0], -jnp.log(states.shape[0]), states.dtype)
