@@ -1,0 +1,1 @@
+"""State problems of the literature on online POMDP solvers."""

@@ -1,0 +1,52 @@
+"""A range finder of beams all around, of which one detects the target (VDP Tag and Sub Hunt)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.stats import norm
+from jaxtyping import Array, Bool, Float, Int, Key
+
+
+class Beams(eqx.Module):
+    """Independent Gaussian readings: one distribution for the target's beam, one for all others.
+
+    Attributes:
+        index: The target's beam.
+        mean: Mean of its reading.
+        noise: Standard deviation of its reading.
+        other_mean: Mean of any other reading.
+        other_noise: Standard deviation of any other reading.
+        num: Number of beams.
+    """
+
+    index: Int[Array, ""]
+    mean: Float[Array, ""]
+    noise: Float[Array, ""]
+    other_mean: Float[Array, ""]
+    other_noise: Float[Array, ""]
+    num: int = eqx.field(static=True)
+
+    def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
+        """The readings of all beams."""
+        is_target = self._is_target()
+        mean = jnp.where(is_target, self.mean, self.other_mean)
+        noise = jnp.where(is_target, self.noise, self.other_noise)
+        return mean + noise * jax.random.normal(key, (self.num,), mean.dtype)
+
+    def log_density(self, readings: Float[Array, "O"]) -> Float[Array, ""]:
+        """Logarithm of the density of readings."""
+        # The sum over other beams is the same for all particles, which thus evaluate one beam each.
+        others = norm.logpdf(readings, self.other_mean, self.other_noise)
+        reading = readings[self.index]
+        instead = norm.logpdf(reading, self.other_mean, self.other_noise)
+        return jnp.sum(others) - instead + norm.logpdf(reading, self.mean, self.noise)
+
+    def _is_target(self) -> Bool[Array, "O"]:
+        return jnp.arange(self.num, dtype=jnp.int32) == self.index
+
+
+def beam_towards(offset: Float[Array, "2"], num: int) -> Int[Array, ""]:
+    """The beam that covers a direction: beam i covers angles in (i, i + 1] turns / num, and 0 is a turn."""
+    angle = jnp.arctan2(offset[1], offset[0])
+    angle = jnp.where(angle <= 0.0, angle + 2.0 * jnp.pi, angle)
+    return jnp.clip(jnp.ceil(num * (angle / (2.0 * jnp.pi))).astype(jnp.int32) - 1, 0, num - 1)

@@ -1,0 +1,117 @@
+"""Light Dark on integers: localise in the light, then stop at 0 (Sunberg and Kochenderfer, ICAPS 2018)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.stats import norm
+from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
+
+from bojax.problems.actions import Discrete
+from bojax.problems.state_space import StateProblem
+
+
+class LightDark(StateProblem):
+    """A position that is clamped to [-radius, radius], and moves of 10, 1 or 0; the move 0 ends the episode.
+
+    The standard deviation of an observation grows with the distance of the new position from the light.
+
+    Settings: `bojax.problems.pomdp.settings.LightDark`.
+
+    Attributes:
+        action_values: Optimal value of each action at each integer from -radius, with states observed;
+            None to compute it.
+    """
+
+    moves: Float[Array, "A"]
+    light: Float[Array, ""]
+    least_noise: Float[Array, ""]
+    stop_reward: Float[Array, ""]
+    wrong_stop_reward: Float[Array, ""]
+    step_reward: Float[Array, ""]
+    discount: Float[Array, ""]
+    radius: int = eqx.field(static=True)
+    start_radius: int = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    action_values: Float[Array, "S A"] | None = None
+
+    def __post_init__(self) -> None:
+        """Solve the problem with states observed: fewer moves than there are states lead anywhere."""
+        if self.action_values is not None:
+            return
+        states = jnp.arange(-self.radius, self.radius + 1, dtype=jnp.int32).astype(self.discount.dtype)
+        step = jax.vmap(jax.vmap(self._step, (None, 0)), (0, None))
+        next_states, rewards, ended = step(states, self.moves)
+
+        def sweep(_: Int[Array, ""], values: Float[Array, "S"]) -> Float[Array, "S"]:
+            return jnp.max(self._backed_up(values, next_states, rewards, ended), axis=1)
+
+        values = jax.lax.fori_loop(0, states.shape[0], sweep, jnp.full_like(states, self.wrong_stop_reward))
+        self.action_values = self._backed_up(values, next_states, rewards, ended)
+
+    @property
+    @override
+    def actions(self) -> Discrete:
+        return Discrete(self.moves[:, None])
+
+    @override
+    def initial(self, key: Key[Array, ""]) -> Float[Array, "1"]:
+        start = jax.random.randint(key, (1,), -self.start_radius, self.start_radius + 1, jnp.int32)
+        return start.astype(self.discount.dtype)
+
+    @override
+    def step(
+        self, key: Key[Array, ""], state: Float[Array, "1"], action: Float[Array, "1"]
+    ) -> tuple[Float[Array, "1"], Float[Array, ""], Bool[Array, ""]]:
+        next_state, reward, ended = self._step(state[0], action[0])
+        return next_state[None], reward, ended
+
+    @override
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: Float[Array, "1"],
+        action: Float[Array, "1"],
+        next_state: Float[Array, "1"],
+    ) -> Float[Array, "1"]:
+        return next_state + self._noise(next_state) * jax.random.normal(key, (1,), state.dtype)
+
+    @override
+    def log_likelihood(
+        self,
+        observation: Float[Array, "1"],
+        state: Float[Array, "1"],
+        action: Float[Array, "1"],
+        next_state: Float[Array, "1"],
+    ) -> Float[Array, ""]:
+        return norm.logpdf(observation[0], next_state[0], self._noise(next_state)[0])
+
+    @override
+    def heuristic_value(self, state: Float[Array, "1"]) -> Float[Array, ""]:
+        return jnp.max(self.values_at(state))
+
+    def values_at(self, state: Float[Array, "1"]) -> Float[Array, "A"]:
+        """Optimal value of each action with states observed."""
+        assert self.action_values is not None
+        return self.action_values[state[0].astype(jnp.int32) + self.radius]
+
+    def _noise(self, state: Float[Array, "1"]) -> Float[Array, "1"]:
+        return jnp.abs(state - self.light) + self.least_noise
+
+    def _step(
+        self, state: Float[Array, ""], move: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
+        stops = move == 0.0
+        stop_reward = jnp.where(state == 0.0, self.stop_reward, self.wrong_stop_reward)
+        reward = jnp.where(stops, stop_reward, self.step_reward)
+        return jnp.clip(state + move, -self.radius, self.radius), reward, stops
+
+    def _backed_up(
+        self,
+        values: Float[Array, "S"],
+        next_states: Float[Array, "S A"],
+        rewards: Float[Array, "S A"],
+        ended: Bool[Array, "S A"],
+    ) -> Float[Array, "S A"]:
+        after = values[next_states.astype(jnp.int32) + self.radius]
+        return rewards + self.discount * jnp.where(ended, 0.0, after)

@@ -1,0 +1,106 @@
+"""Light dark in several dimensions, with one or more agents (AGMCTS, arXiv 2503.12181)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.stats import norm
+from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
+
+from bojax.problems.actions import Balls
+from bojax.problems.state_space import StateProblem
+
+
+class LightDarkNd(StateProblem):
+    """Agents that start about the origin and must all reach a goal, past a ring of negative reward.
+
+    A state is the position of each agent. The first agent observes its position relative to a beacon, every
+    other one relative to the agent before it, with noise that grows with the distance d between them.
+    Rewards of the agents are averaged. The goal is on the last axis, and the beacon beside the midpoint, on
+    the first.
+
+    Settings: `bojax.problems.pomdp.settings.LightDarkNd`.
+    """
+
+    start_radius: Float[Array, ""]
+    goal_distance: Float[Array, ""]
+    goal_tolerance: Float[Array, ""]
+    beacon_offset: Float[Array, ""]
+    action_radius: Float[Array, ""]
+    process_noise: Float[Array, ""]
+    noise_scale: Float[Array, ""]
+    noise_power: Float[Array, ""]
+    max_noise: Float[Array, ""]
+    distance_reward: Float[Array, ""]
+    goal_reward: Float[Array, ""]
+    ring_reward: Float[Array, ""]
+    discount: Float[Array, ""]
+    num_dims: int = eqx.field(static=True)
+    num_agents: int = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+
+    @property
+    @override
+    def actions(self) -> Balls:
+        return Balls(self.action_radius, self.num_agents, self.num_dims)
+
+    @override
+    def initial(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+        direction = jax.random.normal(key, (self.num_agents, self.num_dims), self.discount.dtype)
+        return (self.start_radius * direction / _lengths(direction)[:, None]).ravel()
+
+    @override
+    def step(
+        self, key: Key[Array, ""], state: Float[Array, "D"], action: Float[Array, "D"]
+    ) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+        noise = self.process_noise * jax.random.normal(key, state.shape, state.dtype)
+        next_state = state + action + noise
+        ended, distance = self.is_terminal(next_state), self._goal_distances(next_state)
+        width = 0.5 * self.goal_tolerance
+        ring = jnp.exp(-0.5 * ((distance - 10.0 * width) / (2.0 * width)) ** 2)
+        goal = jnp.where(ended, jnp.exp(-0.5 * (distance / width) ** 2), 0.0)
+        reward = self.distance_reward * distance**2 + self.ring_reward * ring + self.goal_reward * goal
+        return next_state, jnp.mean(reward), ended
+
+    @override
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: Float[Array, "D"],
+        action: Float[Array, "D"],
+        next_state: Float[Array, "D"],
+    ) -> Float[Array, "D"]:
+        mean, noise = self._reading(next_state)
+        return mean + noise * jax.random.normal(key, mean.shape, mean.dtype)
+
+    @override
+    def log_likelihood(
+        self,
+        observation: Float[Array, "D"],
+        state: Float[Array, "D"],
+        action: Float[Array, "D"],
+        next_state: Float[Array, "D"],
+    ) -> Float[Array, ""]:
+        return jnp.sum(norm.logpdf(observation, *self._reading(next_state)))
+
+    @override
+    def is_terminal(self, state: Float[Array, "D"]) -> Bool[Array, ""]:
+        return jnp.all(self._goal_distances(state) < self.goal_tolerance)
+
+    def _goal_distances(self, state: Float[Array, "D"]) -> Float[Array, "N"]:
+        goal = jnp.zeros(self.num_dims, state.dtype).at[-1].set(self.goal_distance)
+        return _lengths(state.reshape(self.num_agents, self.num_dims) - goal[None])
+
+    def _reading(self, state: Float[Array, "D"]) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
+        """Mean and standard deviations of an observation."""
+        positions = state.reshape(self.num_agents, self.num_dims)
+        beacon = jnp.zeros(self.num_dims, state.dtype).at[-1].set(0.5 * self.goal_distance)
+        beacon = beacon.at[0].add(self.beacon_offset)
+        offsets = positions - jnp.concatenate([beacon[None], positions[:-1]])
+        distance = _lengths(offsets)
+        noise = jnp.minimum(self.max_noise, self.noise_scale * (distance + distance**self.noise_power))
+        return offsets.ravel(), jnp.repeat(noise, self.num_dims)
+
+
+def _lengths(vectors: Float[Array, "N D"]) -> Float[Array, "N"]:
+    return jnp.sqrt(jnp.sum(vectors**2, axis=1))

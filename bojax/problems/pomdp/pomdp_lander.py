@@ -1,0 +1,106 @@
+"""A lunar lander with noisy sensors (Lim, Tomlin and Sunberg, 2021)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.stats import norm
+from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
+
+from bojax.problems.actions import Box
+from bojax.problems.state_space import StateProblem
+
+
+class PomdpLander(StateProblem):
+    """A rigid body in a plane, with a main engine and a lateral thruster off the centre of mass.
+
+    A state is (x, z, theta, v_x, v_z, omega). An action is the lateral force, the thrust and the offset of
+    the lateral thruster. An observation is the range along the axis, the angular velocity and the
+    horizontal velocity. The published code passes `sensor_noise` and `initial_noise` as deviations to a
+    distribution that takes variances; the settings have the deviations that follow.
+
+    Settings: `bojax.problems.pomdp.settings.PomdpLander`.
+    """
+
+    time_step: Float[Array, ""]
+    mass: Float[Array, ""]
+    inertia: Float[Array, ""]
+    gravity: Float[Array, ""]
+    velocity_noise: Float[Array, "3"]
+    sensor_noise: Float[Array, "3"]
+    initial_mean: Float[Array, "6"]
+    initial_noise: Float[Array, "6"]
+    action_low: Float[Array, "3"]
+    action_high: Float[Array, "3"]
+    max_distance: Float[Array, ""]
+    max_tilt: Float[Array, ""]
+    landing_height: Float[Array, ""]
+    crash_reward: Float[Array, ""]
+    landing_reward: Float[Array, ""]
+    step_reward: Float[Array, ""]
+    discount: Float[Array, ""]
+    max_steps: int = eqx.field(static=True)
+
+    @property
+    @override
+    def actions(self) -> Box:
+        return Box(self.action_low, self.action_high)
+
+    @override
+    def initial(self, key: Key[Array, ""]) -> Float[Array, "6"]:
+        return self.initial_mean + self.initial_noise * jax.random.normal(key, (6,), self.initial_mean.dtype)
+
+    @override
+    def step(
+        self, key: Key[Array, ""], state: Float[Array, "6"], action: Float[Array, "3"]
+    ) -> tuple[Float[Array, "6"], Float[Array, ""], Bool[Array, ""]]:
+        lateral, thrust, offset = action[0], action[1], action[2]
+        cos, sin = jnp.cos(state[2]), jnp.sin(state[2])
+        acceleration = jnp.stack(
+            [
+                (cos * lateral - sin * thrust) / self.mass,
+                (cos * thrust + sin * lateral) / self.mass - self.gravity,
+                -offset * lateral / self.inertia,
+            ]
+        )
+        noise = self.velocity_noise * jax.random.normal(key, (3,), state.dtype)
+        velocities = state[3:] + self.time_step * acceleration + noise
+        next_state = jnp.concatenate([state[:3] + self.time_step * state[3:], velocities])
+        crashed, landed = self._crashed(next_state), self._landed(next_state)
+        paid = self.landing_reward - jnp.abs(next_state[0]) - next_state[4] ** 2
+        reward = jnp.where(crashed, self.crash_reward, jnp.where(landed, paid, self.step_reward))
+        return next_state, reward, crashed | landed
+
+    @override
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: Float[Array, "6"],
+        action: Float[Array, "3"],
+        next_state: Float[Array, "6"],
+    ) -> Float[Array, "3"]:
+        return _reading(next_state) + self.sensor_noise * jax.random.normal(key, (3,), state.dtype)
+
+    @override
+    def log_likelihood(
+        self,
+        observation: Float[Array, "3"],
+        state: Float[Array, "6"],
+        action: Float[Array, "3"],
+        next_state: Float[Array, "6"],
+    ) -> Float[Array, ""]:
+        return jnp.sum(norm.logpdf(observation, _reading(next_state), self.sensor_noise))
+
+    @override
+    def is_terminal(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
+        return self._crashed(state) | self._landed(state)
+
+    def _crashed(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
+        return (jnp.abs(state[0]) >= self.max_distance) | (jnp.abs(state[2]) >= self.max_tilt)
+
+    def _landed(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
+        return state[1] <= self.landing_height
+
+
+def _reading(state: Float[Array, "6"]) -> Float[Array, "3"]:
+    return jnp.stack([state[1] / jnp.cos(state[2]), state[5], state[3]])
