@@ -74,7 +74,7 @@ class LightDark(StateProblem):
         action: Float[Array, "1"],
         next_state: Float[Array, "1"],
     ) -> Float[Array, "1"]:
-        return next_state + self._noise(next_state) * jax.random.normal(key, (1,), state.dtype)
+        return next_state + self.noise_at(next_state) * jax.random.normal(key, (1,), state.dtype)
 
     @override
     def log_likelihood(
@@ -84,7 +84,7 @@ class LightDark(StateProblem):
         action: Float[Array, "1"],
         next_state: Float[Array, "1"],
     ) -> Float[Array, ""]:
-        return norm.logpdf(observation[0], next_state[0], self._noise(next_state)[0])
+        return norm.logpdf(observation[0], next_state[0], self.noise_at(next_state)[0])
 
     @override
     def heuristic_value(self, state: Float[Array, "1"]) -> Float[Array, ""]:
@@ -95,7 +95,8 @@ class LightDark(StateProblem):
         assert self.action_values is not None
         return self.action_values[state[0].astype(jnp.int32) + self.radius]
 
-    def _noise(self, state: Float[Array, "1"]) -> Float[Array, "1"]:
+    def noise_at(self, state: Float[Array, "1"]) -> Float[Array, "1"]:
+        """Standard deviation of an observation from a position."""
         return jnp.abs(state - self.light) + self.least_noise
 
     def _step(
