@@ -1,6 +1,7 @@
 """Problems whose state is the pose of the robot, observed through a noisy measurement."""
 
 import abc
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -69,23 +70,28 @@ class PoseProblem(Problem):
     def execute(
         self, key: Key[Array, ""], world: VehicleState, path: Path
     ) -> tuple[VehicleState, Pose, Events]:
-        """Drive a path from the vehicle's estimate of its pose, and measure the final pose."""
+        """Drive a path from the vehicle's estimate of its pose, and measure the final pose.
+
+        The outcome is that of the true poses, whatever was measured. The last one is the pose at rest, which
+        all recorded data end with.
+        """
         planned = place(path, self.vehicle.estimate(world))
         tracked = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
-        outcome = self.outcome(self.pose(world), tracked.poses)
-        index = jnp.arange(planned.shape[0], dtype=outcome.last.dtype)
-        driven = tracked.poses[jnp.minimum(index, outcome.last)]
+        # A vehicle may pass the last pose of the path before it rests.
+        poses = tracked.poses.at[-1].set(self.pose(tracked.state))
+        outcome = self.outcome(self.pose(world), poses)
+        state, last = self.vehicle.stopped_at(replace(tracked, poses=poses), outcome.last)
+        index = jnp.arange(planned.shape[0], dtype=last.dtype)
         events = Events(
             reward=outcome.reward,
             terminated=outcome.terminated,
             success=outcome.success,
             exited=outcome.exited,
-            driven=driven,
-            is_driven=index <= outcome.last,
+            driven=poses[jnp.minimum(index, last)],
+            is_driven=index <= last,
             frames=tracked.frames,
             failed=tracked.failed,
         )
-        state = self.vehicle.stopped_at(tracked.state, driven[-1])
         return state, self.vehicle.measure(key, state, self._noise), events
 
     @override

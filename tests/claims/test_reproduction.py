@@ -283,9 +283,9 @@ def test_what_a_few_runs_do_not_decide_is_not_called_unexplained(tmp_path):
     assert titles == ["### Fig. 3.1 (`mine`): unexplained", "### Fig. 3.2 (`mine`): not tested"]
 
 
-def test_an_alias_has_the_explanations_of_its_sweep():
+def test_an_alias_has_the_report_of_its_sweep():
     report = published_report("parking")
-    assert report is not None and report.explanations
+    assert report is not None and report.figures
     assert report == published_report("fig-4.6")
 
 

@@ -29,6 +29,7 @@ ROBOT = build(SETTINGS)
 MODEL = mujoco.MjModel.from_xml_string(packaged("car").xml)
 MOTIONS = build(KernelTrajectories(first_angle=0.785, turn_angle=1.257))
 reset, estimate, pose_of = (jax.jit(jax.vmap(of)) for of in (ROBOT.reset, ROBOT.estimate, ROBOT.pose))
+NUM_READINGS = SETTINGS.readings + SETTINGS.rest_readings
 NUM_LANES, QUIET = 16, 8
 """Lanes from `QUIET` on have noise in their readings."""
 
@@ -64,7 +65,7 @@ def drives(follow):
 def errors_of(lanes):
     """What the readings of each lane add to its poses."""
     key, _, _, _, noise = lanes
-    draw = lambda key: jax.random.normal(key, (ROBOT.readings, 3), jnp.float32)  # noqa: E731
+    draw = lambda key: jax.random.normal(key, (NUM_READINGS, 3), jnp.float32)  # noqa: E731
     return np.asarray(noise)[:, None] * np.asarray(jax.vmap(draw)(jax.random.clone(key)), np.float64)
 
 
@@ -79,11 +80,11 @@ def references(drives):
             data = mujoco.MjData(MODEL)
             data.qpos, data.qvel = body.robot.qpos[lane], body.robot.qvel[lane]
             mujoco.mj_kinematics(MODEL, data)
-            settings = (SETTINGS.look_ahead, SETTINGS.speed, SETTINGS.gain, SETTINGS.substeps)
+            tracker = SETTINGS.look_ahead, SETTINGS.speed, SETTINGS.gain
+            timing = SETTINGS.substeps, SETTINGS.readings
+            start = np.asarray(body.reading[lane])
             done.append(
-                reference.follow(
-                    MODEL, data, np.asarray(body.reading[lane]), np.asarray(path[lane]), errors, *settings
-                )
+                reference.follow(MODEL, data, start, np.asarray(path[lane]), errors, *tracker, *timing)
             )
         results.append(done)
     return results
@@ -123,6 +124,17 @@ def test_a_ride_begins_where_the_one_before_ended(drives):
     np.testing.assert_array_equal(lanes[1].robot.qpos, first.state.robot.qpos)
     np.testing.assert_allclose(pose_of(second.state), second.poses[:, -1], atol=1e-12)
     np.testing.assert_allclose(second.frames[:, -1], second.state.robot.qpos, atol=1e-12)
+
+
+def test_it_is_at_rest_after_every_path(follow, drives):
+    (key, body, path, _, noise), _ = drives[0]
+    # At twice the length, no path is completed.
+    longer = path.at[..., :2].add(path[..., :2] - pose_of(body)[:, None, :2])
+    far = follow(jax.random.clone(key), body, longer, longer[:, -1], noise)
+    assert np.linalg.norm(far.poses[:, -1, :2] - longer[:, -1, :2], axis=-1).min() > 0.2
+    for ride in (*(ride for _, ride in drives), far):
+        speeds = np.linalg.norm(ride.state.robot.qvel[:, :2], axis=-1)
+        assert speeds.max() < 1e-3 and np.abs(ride.state.robot.qvel[:, 5]).max() < 1e-2
 
 
 def test_readings_are_poses_with_noise(drives):
@@ -199,7 +211,7 @@ def test_a_problem_in_either_precision(dtype):
     assert not any(leaf.weak_type for leaf in jax.tree.leaves((after, events)))
     assert reading.dtype == events.driven.dtype == after.reading.dtype == dtype
     assert after.robot.qpos.dtype == events.frames.dtype == jnp.float32
-    assert events.frames.shape == (SETTINGS.readings // FRAME_EVERY, MODEL.nq)
+    assert events.frames.shape == (NUM_READINGS // FRAME_EVERY, MODEL.nq)
 
 
 @pytest.mark.slow

@@ -47,8 +47,11 @@ def place(model, pose):
     return data
 
 
-def follow(model, data, start, path, errors, look_ahead, speed, gain, substeps):
-    """Poses and speeds at all readings, how many points of the curve were passed, and all of `qpos`."""
+def follow(model, data, start, path, errors, look_ahead, speed, gain, substeps, num_driven):
+    """Poses at all readings, how many points of the curve were passed, all of `qpos`, and the last reading.
+
+    The motor is off from reading `num_driven` on.
+    """
     points = dense(start, path)
     arc = [0.0]
     for before, after in zip(points[:-1], points[1:], strict=True):
@@ -56,7 +59,7 @@ def follow(model, data, start, path, errors, look_ahead, speed, gain, substeps):
     sharpest = 1 / (WHEELBASE / np.tan(model.actuator_ctrlrange[0, 1]) + HALF_TRACK)
     reading, passed = np.array(start), 0
     poses, passes, places = [], [], [data.qpos.copy()]
-    for error in errors:
+    for number, error in enumerate(errors):
         poses.append(pose_of(data))
         ahead = range(passed, len(arc))
         window = [i for i in ahead if i == passed + 1 or arc[i] <= arc[passed] + look_ahead]
@@ -72,7 +75,7 @@ def follow(model, data, start, path, errors, look_ahead, speed, gain, substeps):
         bend = np.clip(2 * sin(bearing) / away, -sharpest, sharpest)
         # Each wheel stands across the line from it to the centre of the turn.
         angles = [atan(WHEELBASE * bend / (1 - side * HALF_TRACK * bend)) for side in (1, -1)]
-        data.ctrl = [*angles, min(speed, gain * left) / FULL_SPEED]
+        data.ctrl = [*angles, min(speed, gain * left) / FULL_SPEED if number < num_driven else 0]
         for _ in range(substeps):
             mujoco.mj_step(model, data)
         mujoco.mj_kinematics(model, data)

@@ -5,7 +5,8 @@ from typing import Any
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Bool, Float, Key
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import Path, Pose
@@ -56,7 +57,7 @@ class Vehicle(eqx.Module):
     def follow(
         self, key: Key[Array, ""], state: VehicleState, path: Path, end: Pose, noise: Float[Array, "3"] | None
     ) -> TrackingResult:
-        """Track a path.
+        """Track a path, and come to rest.
 
         Args:
             key: Key of the measurement noise.
@@ -71,12 +72,14 @@ class Vehicle(eqx.Module):
         pose = self.pose(state)
         return pose + noise * jax.random.normal(key, (3,), pose.dtype)
 
-    def stopped_at(self, state: VehicleState, pose: Pose) -> VehicleState:
-        """The state if the task has ended at a pose along the path.
+    def stopped_at(
+        self, tracked: TrackingResult, last: Int[Array, ""]
+    ) -> tuple[VehicleState, Int[Array, ""]]:
+        """The state if the task has ended at pose `last` of the path, and the index of the last pose driven.
 
-        A simulated vehicle keeps its own state: it has driven on.
+        A simulated vehicle has driven on to the end of the path.
         """
-        return state
+        return tracked.state, jnp.full_like(last, tracked.poses.shape[0] - 1)
 
     @property
     def turning_radius(self) -> float:
@@ -123,6 +126,7 @@ class Exact(Vehicle):
         return TrackingResult(end, path, estimates)
 
     @override
-    def stopped_at(self, state: Pose, pose: Pose) -> Pose:
-        """The pose, with its heading in [0, 2 pi)."""
-        return pose.at[2].set(wrap_to_2pi(pose[2]))
+    def stopped_at(self, tracked: TrackingResult, last: Int[Array, ""]) -> tuple[Pose, Int[Array, ""]]:
+        """The pose at `last`, with its heading in [0, 2 pi)."""
+        pose = tracked.poses[last]
+        return pose.at[2].set(wrap_to_2pi(pose[2])), last

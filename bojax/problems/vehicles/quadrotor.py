@@ -12,7 +12,7 @@ from typing_extensions import override
 from bojax.motions.base import Path, Pose
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import TrackingResult
-from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
+from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, frames_of, planar
 from bojax.robots.flight import Airframe, control, reference_trajectory
 from bojax.robots.models import packaged
 from bojax.robots.quaternions import rotate_yaw, rotation_matrix
@@ -106,7 +106,7 @@ class Quadrotor(SimulatedVehicle):
             poses=poses[at].astype(dtype),
             estimates=readings[at].astype(dtype),
             sensor_poses=jax.vmap(self._sensor_pose)(flown[at]).astype(dtype),
-            frames=flown[FRAME_EVERY::FRAME_EVERY],
+            frames=frames_of(flown, FRAME_EVERY),
             failed=simulator.has_diverged(robot),
         )
 

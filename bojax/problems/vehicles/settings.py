@@ -33,8 +33,9 @@ class WheeledRobot(VehicleSettings, frozen=True):
     gain: float = Field(default=6.0, gt=0, description="final speed per metre to the end of the path, 1/s")
     physics: PhysicsEngine = MJX()
     substeps: int = Field(default=5, ge=1, description="steps of 10 ms between two measurements of the pose")
-    readings: int = Field(
-        default=50, ge=2, description="number of pose readings per path; then the robot stops"
+    readings: int = Field(default=50, ge=2, description="number of pose readings per path, while it drives")
+    rest_readings: int = Field(
+        default=10, ge=0, description="number of pose readings after a path, without drive, to come to rest"
     )
 
 

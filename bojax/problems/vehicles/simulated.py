@@ -60,6 +60,11 @@ class SimulatedVehicle(Simulated, Vehicle):
         return SimulatedState(self.simulator.state(qpos, jnp.zeros((model.nv,), jnp.float32)), pose)
 
 
+def frames_of(qpos: Float[Array, "T Q"], every: int) -> Float[Array, "F Q"]:
+    """Every so many positions without the first, counted from the last one, which a film ends with."""
+    return qpos[(qpos.shape[0] - 2) % every + 1 :: every]
+
+
 def planar(qpos: Float[Array, "Q"]) -> Float[Array, "3"]:
     """Position in metres and heading in [0, 2 pi) of a robot with a free joint."""
     return jnp.concatenate([qpos[:2], wrap_to_2pi(yaw_of(qpos[3:7]))[None]])

@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bojax.motions.base import Path, Pose
 from bojax.problems.vehicles.base import TrackingResult
-from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
+from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, frames_of, planar
 from bojax.robots import pursuit
 from bojax.robots.car import CarParameters, car_parameters
 from bojax.robots.models import packaged
@@ -22,12 +22,13 @@ STOPPING_DISTANCE = 0.01  # distance from the end of a path at which the path co
 
 
 class WheeledRobot(SimulatedVehicle):
-    """A car that drives along a path at constant speed, slows down before the end, and waits there.
+    """A car that drives along a path at constant speed, slows down before the end, and stops.
 
     MJX simulates the robot with a step of 10 ms. Its position is the midpoint of the rear axle, which moves
     along the heading. A tracking system measures the pose every `substeps` simulation steps; the robot steers
-    by pure pursuit of the path, which is placed at the first measurement. Every path takes the same time. A
-    robot that has not completed the path by then stays where it is, and may still be rolling.
+    by pure pursuit of the path, which is placed at the first measurement. Every path takes the same time:
+    `readings` measurements, then `rest_readings` measurements without drive, in which the robot comes to rest
+    even if it has not completed the path.
 
     The tracked poses are those at the first measurement at which the robot has passed the corresponding pose
     of the path; the last one is the final pose. The robot cannot turn on the spot: the desired final heading
@@ -42,6 +43,7 @@ class WheeledRobot(SimulatedVehicle):
     physics: Physics
     substeps: int = eqx.field(static=True)
     readings: int = eqx.field(static=True)
+    rest_readings: int = eqx.field(static=True)
 
     @property
     @override
@@ -67,21 +69,25 @@ class WheeledRobot(SimulatedVehicle):
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
         simulator = self.simulator
-        errors = jnp.zeros((self.readings, 3), jnp.float32)
+        num_readings = self.readings + self.rest_readings
+        errors = jnp.zeros((num_readings, 3), jnp.float32)
         if noise is not None:
             errors = noise[None].astype(jnp.float32) * jax.random.normal(key, errors.shape, jnp.float32)
         # The controller runs in 32 bits like the simulation, whatever the precision of the plans.
         start = state.reading.astype(jnp.float32)
         route = pursuit.route(start, path.astype(jnp.float32))
 
-        def drive(carry, error):
+        def drive(carry, now):
             robot, reading, passed = carry
+            error, is_driving = now
             controls, passed = self._controls(route, reading, passed)
+            controls = jnp.where(is_driving, controls, controls.at[-1].set(0.0))
             after = simulator.advance(robot, controls)
             return (after, planar(after.qpos) + error, passed), (robot.qpos, reading, passed)
 
         carry = (state.robot, start, jnp.zeros((), jnp.int32))
-        (robot, reading, _), (driven, readings, passed) = jax.lax.scan(drive, carry, errors)
+        is_driving = jnp.arange(num_readings) < self.readings
+        (robot, reading, _), (driven, readings, passed) = jax.lax.scan(drive, carry, (errors, is_driving))
         driven = jnp.concatenate([driven, robot.qpos[None]])
         readings = jnp.concatenate([readings, reading[None]])
         at = self._reached(passed, path.shape[0])
@@ -89,7 +95,7 @@ class WheeledRobot(SimulatedVehicle):
             state=SimulatedState(robot, reading.astype(path.dtype)),
             poses=jax.vmap(planar)(driven[at]).astype(path.dtype),
             estimates=readings[at].astype(path.dtype),
-            frames=driven[FRAME_EVERY::FRAME_EVERY],
+            frames=frames_of(driven, FRAME_EVERY),
             failed=simulator.has_diverged(robot),
         )
 
@@ -140,5 +146,5 @@ class WheeledRobot(SimulatedVehicle):
         points = PIECES * jnp.arange(1, num_poses + 1, dtype=passed.dtype)
         has_passed = passed[None] >= points[:, None]
         first = jnp.argmax(has_passed, axis=1).astype(passed.dtype)
-        last = jnp.asarray(self.readings, passed.dtype)
+        last = jnp.asarray(passed.shape[0], passed.dtype)
         return jnp.where(has_passed[:, -1], first, last).at[-1].set(last)
