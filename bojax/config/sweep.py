@@ -103,11 +103,13 @@ class Setting:
     path: tuple[str, ...]
     value: Any
     of: tuple[str, ...] = ()  # labels or variants of the points that get it; all points that have it if empty
+    not_of: tuple[str, ...] = ()  # labels or variants of points that do not get it
     origin: str = "variation"  # what sets it, for messages
 
     def is_of(self, point: Point, experiment: Mapping[str, Any]) -> bool:
         """Whether a point of the sweep, whose raw experiment is given, gets this setting."""
-        is_named = not self.of or bool({point.label, point.variant} & {*self.of})
+        names = {point.label, point.variant}
+        is_named = (not self.of or bool(names & {*self.of})) and not names & {*self.not_of}
         return is_named and look_up(experiment, self.path) is not None
 
 
@@ -136,6 +138,7 @@ def vary(
     experiments = expand(split(written.base)[1], combinations, (), written.file)
     known: dict[str, Component] = {}
     points: list[Point] = []
+    places: list[Callable[[Location], str]] = []  # what locates the settings of each point
     for number, settings in variations.items():
         for point, raw in zip(own.points, experiments, strict=True):
             varied, origins = raw, dict[tuple[str, ...], str]()
@@ -148,17 +151,20 @@ def vary(
                         )
                     origins[each.path] = each.origin
                     varied = assign(varied, each.path, each.value, each.origin)
+            changed = partial(_origin_in, origins, point.variant)
+            places.append(changed if origins else partial(own.locate, point.index))
             key = json.dumps(varied, sort_keys=True, default=str)
             if key not in known:
-                locate = partial(_origin_in, origins, point.variant)
                 try:
                     known[key] = validate_experiment(varied)
                 except pydantic.ValidationError as error:
-                    raise from_validation(error, locate) from error
+                    raise from_validation(error, places[-1]) from error
             swept = {**point.swept, axis: number}
             points.append(Point(len(points), known[key].label, point.variant, swept, known[key]))
     RUNS.check(own.runs * len(points), f"{written.file}: runs")
-    return replace(own, points=tuple(points), published=None)
+    return replace(
+        own, points=tuple(points), published=None, locate=lambda index, location: places[index](location)
+    )
 
 
 def _origin_in(origins: Mapping[tuple[str, ...], str], variant: str, location: Location) -> str:

@@ -108,6 +108,7 @@ def test_shipped_analyses_fit_their_sweeps():
         ("of: [usual]", "of: [nobody]", 'choices.rate: got "0.5", which changes no point'),
         ("learner.learning_rate", "learner.rate", 'choices.rate: got "0.5", which changes no point'),
         ("setting: learner.learning_rate, ", "", "setting: missing"),
+        ("of: [usual]", "sweeps: [other.yaml]", 'choices.rate.sweeps: got "other.yaml"; allowed: own.yaml'),
         ("long: {}", "long: {env.max_steps: 9}", "choices.cap.values: the first changes usual"),
         ("sweeps: [own.yaml]", "sweeps: [other.yaml]", "other.yaml: no such file"),
         ("sweeps: [own.yaml]", "sweeps: []", "sweeps"),
@@ -148,6 +149,29 @@ def test_settings_replace_those_of_the_axes_where_they_are_meant(paper):
     )
     assert greedy.config.learner.learning_rate == sweep.points[1].config.learner.learning_rate
     assert (sweep.runs, sweep.seed, sweep.record.runs, sweep.published) == (20, 5, 0, None)
+
+
+def test_a_choice_leaves_out_sweeps_and_variants_that_it_is_not_about(paper):
+    (paper.parent / "second.yaml").write_text(SWEEP.replace("own/", "second/"))
+    text = FILE.replace("sweeps: [own.yaml]", "sweeps: [own.yaml, second.yaml]")
+    paper.write_text(text.replace("of: [usual]", "not_of: [greedy], sweeps: [second.yaml]"))
+    declaration = declared(str(paper))
+    last = len(declaration.configurations) - 1  # the other value of both choices
+    rates, caps = {}, {}
+    for source in declaration.file.sweeps:
+        points = declaration.sweep(source, [0, last], None, None).points
+        rates[source] = [point.config.learner.learning_rate for point in points]
+        caps[source] = {point.config.env.max_steps for point in points[2:]}
+    assert rates == {"own.yaml": [0.1] * 4, "second.yaml": [0.1, 0.1, 0.5, 0.1]}
+    assert caps == {"own.yaml": {3}, "second.yaml": {3}}
+
+
+def test_a_setting_of_a_later_configuration_is_located(paper):
+    declaration = declared(str(paper))
+    sweep = declaration.sweep("own.yaml", [0, 3], None, None)
+    where = ("learner", "learning_rate")
+    assert "own.yaml: axes.learner.greedy" in sweep.locate(1, where)  # no choice is about this point
+    assert "choices.rate.0.5: learner.learning_rate of usual" in sweep.locate(2, where)
 
 
 def claim(name: str, verdicts: str, thesis=None, ours=None, **others) -> ClaimOutcomes:

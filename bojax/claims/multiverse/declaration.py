@@ -35,6 +35,14 @@ class ChoiceEntry(Schema, frozen=True):
         description="labels or variants of the points that the choice is about; by default all points that "
         "have the setting",
     )
+    not_of: tuple[str, ...] = Field(
+        default=(), strict=False, description="labels or variants of points that the choice is not about"
+    )
+    sweeps: tuple[str, ...] = Field(
+        default=(),
+        strict=False,
+        description="sweeps that the choice is about; by default, all of the analysis",
+    )
     setting: str | None = Field(
         default=None, min_length=1, description="dotted path of the setting, if values is a list"
     )
@@ -62,14 +70,16 @@ class ChoiceEntry(Schema, frozen=True):
             return list(self.values)
         return [value if isinstance(value, str) else json.dumps(value) for value in self.values]
 
-    def settings(self, level: int, origin: str) -> list[Setting]:
-        """The settings of one of the values, which messages call `origin`."""
+    def settings(self, level: int, sweep: str, origin: str) -> list[Setting]:
+        """The settings of one of the values in a sweep; messages call the choice `origin`."""
+        if self.sweeps and sweep not in self.sweeps:
+            return []
         if isinstance(self.values, dict):
             changed = list(self.values.values())[level]
         else:
             changed = {str(self.setting): self.values[level]}
         return [
-            Setting(tuple(path.split(".")), value, self.of, f"{origin}.{self.names[level]}")
+            Setting(tuple(path.split(".")), value, self.of, self.not_of, f"{origin}.{self.names[level]}")
             for path, value in changed.items()
         ]
 
@@ -158,12 +168,12 @@ class Declaration:
         except ValueError as error:
             raise ConfigError(f"{display(self.path)}: design: {error}") from error
 
-    def settings(self, levels: Sequence[int]) -> list[Setting]:
-        """The settings of a configuration."""
+    def settings(self, sweep: str, levels: Sequence[int]) -> list[Setting]:
+        """The settings of a configuration of one of the sweeps."""
         return [
             setting
             for (name, choice), level in zip(self.file.choices.items(), levels, strict=True)
-            for setting in choice.settings(level, f"{display(self.path)}: choices.{name}")
+            for setting in choice.settings(level, sweep, f"{display(self.path)}: choices.{name}")
         ]
 
     def described(self, levels: Sequence[int]) -> dict[str, str]:
@@ -178,7 +188,7 @@ class Declaration:
         varied = vary(
             self.source_of(source),
             AXIS,
-            {number: self.settings(self.configurations[number]) for number in numbers},
+            {number: self.settings(source, self.configurations[number]) for number in numbers},
             self.file.runs if runs is None else runs,
             self.file.seed if seed is None else seed,
         )
@@ -242,13 +252,20 @@ def _find(source: str) -> Path:
 
 def _check_choices(declaration: Declaration, where: str) -> None:
     """Refuse a value that a point refuses, that changes no point, or a first one that changes the sweep."""
+    sweeps = declaration.file.sweeps
+    for name, choice in declaration.file.choices.items():
+        for source in choice.sweeps:
+            if source not in sweeps:
+                raise ConfigError(
+                    f"{where}: choices.{name}.sweeps: got {shown(source)}; allowed: {listed(source, sweeps)}"
+                )
     unused = {
         (name, level)
         for name, choice in declaration.file.choices.items()
         for level in range(len(choice.values))
-        if choice.settings(level, name)
+        if any(choice.settings(level, source, name) for source in sweeps)
     }
-    for source in declaration.file.sweeps:
+    for source in sweeps:
         sweep = declaration.source_of(source)
         number = 0
         tried: dict[int, tuple[str, int]] = {}
@@ -257,7 +274,7 @@ def _check_choices(declaration: Declaration, where: str) -> None:
             for level in range(len(choice.values)):
                 number += 1
                 tried[number] = name, level
-                variations[number] = choice.settings(level, f"{where}: choices.{name}")
+                variations[number] = choice.settings(level, source, f"{where}: choices.{name}")
         points = vary(sweep, AXIS, variations).points
         size = len(points) // len(variations)
         own = points[:size]
@@ -279,7 +296,7 @@ def _check_choices(declaration: Declaration, where: str) -> None:
         value = declaration.file.choices[name].names[level]
         raise ConfigError(
             f"{where}: choices.{name}: got {shown(value)}, which changes no point of "
-            f"{', '.join(declaration.file.sweeps)}; allowed: settings that a point has"
+            f"{', '.join(sweeps)}; allowed: settings that a point has"
         )
 
 
