@@ -4,7 +4,7 @@ Results may be older than the claims of their sweep, and than the tests that dec
 the claims, tests and published settings of this version.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,8 @@ from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Test
 from bojax.config.errors import listed
 from bojax.config.sweep_file import published_name
-from bojax.report.findings import evaluate
+from bojax.report.explanations import AtHand
+from bojax.report.findings import cause_of, evaluate
 from bojax.report.manifest import ClaimEntry, Unread, validated
 from bojax.report.source import Results, load
 from bojax.report.verdicts import CLAIMS, TestedClaim
@@ -25,42 +26,39 @@ from bojax.results.store import MANIFEST, ResultsError, read_json
 _FOUND = ("method", "comparisons", "chosen", "reason")  # keys of a test in `claims.json` that are no settings
 
 
-def collected(
-    folders: Iterable[Path], names: Collection[str]
-) -> list[tuple[Results, list[TestedClaim], int]]:
-    """The newest results of each of the sweeps of bojax with these names, and its claims.
+def collected(folders: Iterable[Path]) -> list[tuple[AtHand, int]]:
+    """The newest results of each sweep of bojax, with its claims.
 
-    The folders hold results of these sweeps, or are above results; other results are ignored. Manifests
-    have the name and title of the sweep, and the settings that differ from its own. The number counts
-    verdicts taken from the results' own report, because tables are missing.
+    The folders hold such results, or are above some; other results are ignored. Manifests have the name and
+    title of the sweep, and the settings that differ from its own. The number counts verdicts taken from the
+    results' own report, because tables are missing.
     """
     newest: dict[str, Results] = {}
-    for results in (each for folder in folders for each in _results(folder, names)):
-        name = _name_of(results, names)
+    for results in (each for folder in folders for each in _results(folder)):
+        name = _name_of(results)
         if name not in newest or results.manifest.written > newest[name].manifest.written:
             newest[name] = results
     return [_judged(results, config.load_published(name)) for name, results in sorted(newest.items())]
 
 
-def _results(folder: Path, names: Collection[str]) -> list[Results]:
-    """The results in a folder, or the finished ones below it that are of these sweeps."""
+def _results(folder: Path) -> list[Results]:
+    """The results in a folder, or the finished ones below it, that are of sweeps of bojax."""
     below = [] if (folder / MANIFEST).exists() else sorted(folder.rglob(MANIFEST))
     finished = [path.parent for path in below if read_json(path).get("status") in ("finished", "failed")]
     loaded = [load(each) for each in finished or [folder]]
-    found = [results for results in loaded if _name_of(results, names)]
+    found = [results for results in loaded if _name_of(results)]
     if not found:
         others = listed("", {results.manifest.name for results in loaded})
-        raise ResultsError(f"{folder}: got results of {others}; allowed: those of sweeps of the thesis")
+        raise ResultsError(f"{folder}: got results of {others}; allowed: those of sweeps of bojax")
     return found
 
 
-def _name_of(results: Results, names: Collection[str]) -> str:
-    """Which of these sweeps results are of, also by an alias; empty for none."""
-    name = published_name(results.manifest.name) if results.manifest.is_published else None
-    return name if name and name in names else ""
+def _name_of(results: Results) -> str:
+    """Which sweep of bojax results are of, also by an alias; empty for none."""
+    return published_name(results.manifest.name) or "" if results.manifest.is_published else ""
 
 
-def _judged(results: Results, sweep: config.Sweep) -> tuple[Results, list[TestedClaim], int]:
+def _judged(results: Results, sweep: config.Sweep) -> tuple[AtHand, int]:
     claims = [ClaimEntry.model_validate(claim.model_dump(mode="json")) for claim in sweep.claims]
     now = {"name": sweep.name, "title": sweep.title, "claims": claims, "changed": _changed(results, sweep)}
     results = replace(results, manifest=results.manifest.model_copy(update=now))
@@ -74,8 +72,9 @@ def _judged(results: Results, sweep: config.Sweep) -> tuple[Results, list[Tested
         found = known.get(claim.id) if "reason" in entry["test"] else None
         if found and "reason" not in found["test"] and _test_of(found) == claim.test:
             entry |= {key: found[key] for key in ("ours", "interval", "runs", "verdict", "test")}
+            entry |= {"cause": cause_of(results, entry)}
             kept += 1
-    return results, validated(list[TestedClaim], entries, str(path)), kept
+    return AtHand(results, validated(list[TestedClaim], entries, str(path))), kept
 
 
 def _test_of(entry: dict[str, Any]) -> Test | None:

@@ -1,8 +1,8 @@
-"""One page over several results folders: every claim of the thesis with its verdict, machine and time."""
+"""Pages over several results folders: every claim of the thesis with its verdict, and one page a chapter."""
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -10,20 +10,13 @@ from typing import Any
 from urllib.parse import quote
 
 from bojax.claims.collected import collected
+from bojax.report.explanations import AtHand, Explained, causes_of, explanations_of
 from bojax.report.manifest import Manifest
-from bojax.report.source import Results, load
+from bojax.report.source import load
 from bojax.report.template import fill
 from bojax.report.text import counted, joined
 from bojax.report.text import seconds as in_seconds
-from bojax.report.verdicts import (
-    Explained,
-    TestedClaim,
-    causes_of,
-    explanations_of,
-    in_words,
-    read_claims,
-    tally,
-)
+from bojax.report.verdicts import TestedClaim, claims_among, read_claims, tally, verdicts_in_words
 from bojax.results.store import ResultsError, make_folder, write_content
 from bojax.text import error_line
 
@@ -41,14 +34,19 @@ Origin = tuple[tuple[str, str], ...]  # names and texts of what results were mad
 
 _NOTE = (
     "Bounds, margins and windows that the thesis does not print are choices of bojax. They follow the word "
-    '"here" in the column of the thesis; take them as set after a first look at results.'
+    '"here" in the column of the thesis; take them as set after a first look at results. A verdict that '
+    "rests on one is marked \N{DAGGER}."
 )
+
+_HOLDS_IN = " The column `holds in` has the share of a multiverse's configurations that reproduce a claim."
 
 _PLACES = re.compile(r" --(?:resume|(?:out|devices|launcher)[ =](?:'[^']*'|\S+))")
 """Options of a command that say where it ran: results do not depend on them."""
 
+_SENTENCE = "Of N claims ..., N are reproduced, N are not, and N are inconclusive; N of them rest"
 _COUNTS = re.compile(
-    r"Of\s+\d+(\s+claims.*?)\d+(\s+are\s+reproduced,\s+)\d+(\s+are\s+not,\s+and\s+)\d+(?=\s+are\s+inconclusive)",
+    r"Of\s+\d+(\s+claims.*?)\d+(\s+are\s+reproduced,\s+)\d+(\s+are\s+not,\s+and\s+)\d+"
+    r"(\s+are\s+inconclusive;\s+)\d+(?=\s+of\s+them\s+rest)",
     re.DOTALL,
 )
 """The sentence on claims of another page."""
@@ -66,16 +64,21 @@ class Sweep:
     """A results folder with claims."""
 
     manifest: Manifest
-    claims: Sequence[TestedClaim]
+    entries: Sequence[TestedClaim]
     explanations: Sequence[Explained]  # of the claims that are not reproduced, or inconclusive
     report: str  # address of its report, relative to the page; empty without a report
 
     @classmethod
-    def of(cls, results: Results, claims: Sequence[TestedClaim], folder: Path) -> "Sweep":
-        """The sweep of some results, on a page in a folder."""
-        report, manifest = results.folder / "report.html", results.manifest
+    def of(cls, source: AtHand, others: Mapping[str, AtHand], folder: Path) -> "Sweep":
+        """The sweep of some results, on a page in a folder; explanations refer to others by name."""
+        report = source.results.folder / "report.html"
         address = quote(_relative(report, folder)) if report.is_file() else ""
-        return cls(manifest, claims, explanations_of(manifest, claims), address)
+        return cls(source.results.manifest, source.claims, explanations_of(source, others), address)
+
+    @property
+    def claims(self) -> list[TestedClaim]:
+        """The entries that are claims."""
+        return claims_among(self.entries)
 
     @property
     def origin(self) -> Origin:
@@ -87,13 +90,14 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Row:
-    """A claim in the table of a chapter."""
+    """An entry of a sweep on the pages."""
 
     sweep: Sweep
     claim: TestedClaim
+    explained: Explained | None  # why it is not reproduced, or inconclusive
     chapter: int  # its chapter; 0 if nothing says which
     order: tuple[Any, ...]  # chapters, and in each figures before tables before sections, all by number
-    reference: str  # the figure, table or section
+    reference: str  # the figure, table or section; else the name of the sweep
     page: str  # the page of the PDF; empty if the source names none
     other_source: str  # the source, if it is not in the thesis
 
@@ -102,7 +106,7 @@ class Row:
         """The row of a claim, read off its source, or else its id or the name of the sweep."""
         source = claim.source or ""
         matches = [_REFERENCE.search(text) for text in (source, claim.id, sweep.manifest.name)]
-        chapter, place, reference = "0", (), ""
+        chapter, place, reference = "0", (), sweep.manifest.name
         if match := next(filter(None, matches), None):
             kind, chapter, number, letter, part = match.groups(default="")
             numbers = [int(each) for each in number.split(".")]
@@ -111,24 +115,97 @@ class Row:
         page = _PAGE.search(source)
         other = "" if matches[0] else source
         order = int(chapter) or float("inf"), place
-        return cls(sweep, claim, int(chapter), order, reference, page[1] if page else "", other)
+        explained = next((each for each in sweep.explanations if claim in each.claims), None)
+        return cls(sweep, claim, explained, int(chapter), order, reference, page[1] if page else "", other)
+
+    @property
+    def source(self) -> str:
+        """Figure, table or section, and page."""
+        if self.other_source:
+            return self.other_source
+        return f"{self.reference}, p. {self.page}" if self.page else self.reference
+
+    @property
+    def anchor(self) -> str:
+        """Its place in the page of its chapter."""
+        name, claim = self.sweep.manifest.name, self.claim.id  # an id is unique in its sweep
+        return _anchor(claim if claim.startswith(f"{name}/") else f"{name}-{claim}")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure, table or section with its claims, and the variants and checks that belong to it."""
+
+    title: str
+    claims: Sequence[Row]
+    others: Sequence[Row]
+
+    @property
+    def anchor(self) -> str:
+        """Its place in the page of its chapter."""
+        return _anchor(self.title)
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A chapter of the thesis, or what belongs to none."""
+
+    title: str
+    file: str  # name of its page, without a suffix
+    figures: Sequence[Figure]
+
+    @classmethod
+    def of(cls, number: int, rows: Iterable[Row]) -> "Chapter":
+        """The chapter of a number, 0 for none, whose rows are in order."""
+        figures = []
+        for title, group in groupby(rows, key=lambda row: row.reference):
+            members = list(group)
+            claims = [row for row in members if row.claim.is_claim]
+            figures.append(Figure(title, claims, [row for row in members if not row.claim.is_claim]))
+        title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
+        return cls(*((title, f"chapter{number}") if number else ("Other claims", "other")), figures)
+
+    @property
+    def rows(self) -> list[Row]:
+        """All rows in the order of its page."""
+        return [row for figure in self.figures for row in (*figure.claims, *figure.others)]
+
+    @property
+    def claims(self) -> list[Row]:
+        """The rows of claims."""
+        return [row for row in self.rows if row.claim.is_claim]
+
+    @property
+    def verdicts(self) -> str:
+        """The number of each verdict."""
+        return verdicts_in_words([row.claim for row in self.rows])
+
+    def is_ambiguous(self, row: Row) -> bool:
+        """Whether several sweeps test claims of its figure, so that it needs the name of its sweep."""
+        return any(each.reference == row.reference and each.sweep is not row.sweep for each in self.claims)
+
+    def told_at(self, row: Row) -> Row:
+        """The first row of the page with the explanation of a row, where its text is."""
+        return next(each for each in self.rows if each.explained is row.explained)
 
 
 def reproduction(folder: Path, sources: Sequence[Path], seconds: float) -> Path:
     """Write `reproduction.html` and `reproduction.md`, which has the same content without links to reports.
 
+    Beside them, the folder `reproduction` has a page for each chapter.
     The sources are results folders, each with the `claims.json` of its report. A folder that is missing,
     unfinished or damaged becomes one line of the page.
     `seconds` is the wall time of the command that ran them. The explanations of the sweeps
-    (`report.explanations`) follow the tables, also if the results were made before they were written.
+    (`report.explanations`) stand beside the claims, also if the results were made before they were written.
     """
-    sweeps, gaps = [], []
+    found, gaps = dict[str, AtHand](), []
     for source in map(Path, sources):
         try:
             results = load(source)
-            sweeps.append(Sweep.of(results, read_claims(source), folder))
+            found[results.manifest.name] = AtHand(results, read_claims(source))
         except ResultsError as error:
             gaps.append((_relative(source, folder), str(error).removeprefix(f"{source}: ")))
+    sweeps = [Sweep.of(each, found, folder) for each in found.values()]
     _write([folder / TEXT, folder / PAGE], sweeps, gaps, [("time taken", in_seconds(seconds))])
     return folder / PAGE
 
@@ -140,39 +217,48 @@ def joined_reproduction(
 
     The claims and tests are taken from this version, see `bojax.claims.collected`. Sweeps may have been made
     by different commands, revisions, devices and versions: the page says which command made each sweep.
+    Results of other sweeps of bojax are quoted by explanations.
 
     Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,
-    `counted_in`, have a sentence "Of N claims ..., N are reproduced, N are not, and N are inconclusive",
-    whose numbers are updated.
+    `counted_in`, have a sentence `_SENTENCE`, whose numbers are updated.
     """
-    found = collected(folders, names)
-    sweeps = [Sweep.of(results, claims, pages[0].parent) for results, claims, _ in found]
-    missing = [name for name in names if all(name != sweep.manifest.name for sweep in sweeps)]
+    found = collected(folders)
+    at_hand = {each.results.manifest.name: each for each, _ in found}
+    sweeps = [Sweep.of(each, at_hand, pages[0].parent) for name, each in at_hand.items() if name in names]
+    if not sweeps:
+        raise ResultsError(f"got results of {joined(at_hand)}; allowed: also those of a sweep of the thesis")
+    missing = [name for name in names if name not in at_hand]
     is_partial = len(missing) > len(sweeps)  # a page on a few figures need not name all others
     gaps = [] if is_partial else [(name, "no finished results in these folders") for name in missing]
-    claims = [claim for sweep in sweeps for claim in sweep.claims]
-    kept = {results.manifest.name: number for results, _, number in found if number}
-    whose = f"{counted(len(claims) - sum(kept.values()), 'claim')} decided by the tests of this version"
+    entries = [entry for sweep in sweeps for entry in sweep.entries]
+    kept = {each.results.manifest.name: number for each, number in found if number}
+    kept = {name: number for name, number in kept.items() if name in names}
+    whose = f"{len(entries) - sum(kept.values())} decided by the tests of this version"
     if kept:
         whose += f", {sum(kept.values())} as in their reports, for want of tables ({joined(kept)})"
-    others = {page: _recounted(page, claims) for page in counted_in}
+    others = {page: _recounted(page, entries) for page in counted_in}
     _write(pages, sweeps, gaps, [("verdicts", whose)])
     for page, text in others.items():
         write_content(page, text)
-    return claims
+    return entries
 
 
-def _recounted(page: Path, claims: Sequence[TestedClaim]) -> str:
+def _recounted(page: Path, entries: Sequence[TestedClaim]) -> str:
     """A page with these numbers in its sentence on claims."""
     try:
         text = page.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise ResultsError(f"{page}: cannot be read: {error_line(error)}") from error
-    numbers = "Of {}\\g<1>{}\\g<2>{}\\g<3>{}".format(len(claims), *(count for _, _, count in tally(claims)))
+    claims = claims_among(entries)
+    counts = [
+        len(claims),
+        *(count for _, _, count in tally(claims)),
+        sum(claim.own_bound for claim in claims),
+    ]
+    numbers = "Of {}\\g<1>{}\\g<2>{}\\g<3>{}\\g<4>{}".format(*counts)
     text, times = _COUNTS.subn(numbers, text)
     if times != 1:
-        wanted = "Of N claims ..., N are reproduced, N are not, and N are inconclusive"
-        raise ResultsError(f"{page}: got {counted(times, 'sentence')} on claims; allowed: one, {wanted}")
+        raise ResultsError(f"{page}: got {counted(times, 'sentence')} on claims; allowed: one, {_SENTENCE}")
     return text
 
 
@@ -182,7 +268,10 @@ def _write(
     gaps: Sequence[tuple[str, str]],
     provenance: Sequence[tuple[str, str]],
 ) -> None:
-    """Write pages on sweeps, each in the format of its suffix, with what else is known of the provenance."""
+    """Write pages on sweeps, each in the format of its suffix, with what else is known of the provenance.
+
+    The pages of the chapters are in a folder that has the name of the page without its suffix.
+    """
     for sweep in sweeps:
         if sweep.manifest.status == "failed":
             errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
@@ -190,31 +279,21 @@ def _write(
                 *gaps,
                 (sweep.manifest.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}"),
             ]
-    claims = [claim for sweep in sweeps for claim in sweep.claims]
     rows = sorted(
-        (Row.of(sweep, claim) for sweep in sweeps for claim in sweep.claims), key=lambda row: row.order
+        (Row.of(sweep, entry) for sweep in sweeps for entry in sweep.entries), key=lambda row: row.order
     )
+    chapters = [Chapter.of(*each) for each in groupby(rows, key=lambda row: row.chapter)]
     manifests = [sweep.manifest for sweep in sweeps]
     origins = list(
         dict.fromkeys(each.origin for each in sorted(sweeps, key=lambda sweep: sweep.manifest.written))
     )
-    changed = sum(bool(claim.changed) for claim in claims)
-    summary = [
-        f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: {in_words(claims)}.",
-        causes_of(each for sweep in sweeps for each in sweep.explanations),
-        f"{counted(changed, 'claim')} {'was' if changed == 1 else 'were'} tested with changed settings."
-        if changed
-        else "",
-        f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
-    ]
     values = {
         "title": "Reproduction of the thesis",
-        "summary": " ".join(filter(None, summary)),
-        "note": _NOTE,
-        "counts": tally(claims),
+        "summary": _summary(sweeps, gaps),
+        "note": _NOTE + (_HOLDS_IN if any(row.claim.robustness for row in rows) else ""),
+        "counts": tally(row.claim for row in rows),
         "gaps": gaps,
-        "chapters": [_chapter(*each) for each in groupby(rows, key=lambda row: row.chapter)],
-        "paragraphs": _paragraphs(sweeps, rows),
+        "chapters": chapters,
         "changes": _changes(manifests),
         "sweeps": sweeps,
         "origins": origins,
@@ -222,34 +301,51 @@ def _write(
         "compile_seconds": sum(manifest.compile_seconds for manifest in manifests),
         "run_seconds": sum(manifest.run_seconds for manifest in manifests),
         "provenance": [pair for pair in [*_provenance(sweeps, origins), *provenance] if pair[1]],
-        "footer": "Written by bojax from the results folders, whose reports have the figures and the tests.",
+        "footer": "Written by bojax from the results folders, whose reports have the figures.",
     }
     for page in pages:
-        make_folder(page.parent)
-        write_content(page, fill(f"reproduction{page.suffix}.j2", **values))
+        folder, suffix = page.with_suffix(""), page.suffix
+        texts = {page: fill(f"reproduction{suffix}.j2", **values, folder=folder.name)}
+        for chapter in chapters:
+            texts[folder / f"{chapter.file}{suffix}"] = fill(
+                f"chapter{suffix}.j2",
+                title=chapter.title,
+                summary=f"{chapter.verdicts}.",
+                counts=tally(row.claim for row in chapter.rows),
+                chapter=chapter,
+                main=f"../{page.name}",
+                provenance=[],
+                footer=values["footer"],
+            )
+        for path, text in texts.items():
+            make_folder(path.parent)
+            write_content(path, text)
+
+
+def _summary(sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]]) -> str:
+    entries = [entry for sweep in sweeps for entry in sweep.entries]
+    claims = claims_among(entries)
+    bounds = sum(claim.own_bound for claim in claims)
+    others, changed = len(entries) - len(claims), sum(bool(claim.changed) for claim in claims)
+    sentences = [
+        f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: "
+        f"{verdicts_in_words(claims)}; {bounds} of them rest on a bound that the thesis does not print.",
+        causes_of(each for sweep in sweeps for each in sweep.explanations),
+        f"Variants and checks, {others} in all, are shown beside them and not counted." if others else "",
+        f"{counted(changed, 'claim')} {'was' if changed == 1 else 'were'} tested with changed settings."
+        if changed
+        else "",
+        f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
+    ]
+    return " ".join(filter(None, sentences))
+
+
+def _anchor(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
 
 
 def _relative(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
-
-
-def _chapter(number: int, rows: Iterable[Row]) -> tuple[str, str, list[list[Row]]]:
-    """Title, verdicts in words, and rows by figure, table or section, and sweep."""
-    title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
-    groups = [list(group) for _, group in groupby(rows, key=lambda row: (row.reference, id(row.sweep)))]
-    verdicts = in_words([row.claim for group in groups for row in group])
-    return title if number else "Other claims", f"{verdicts}.", groups
-
-
-def _paragraphs(sweeps: Sequence[Sweep], rows: Sequence[Row]) -> list[tuple[str, Explained, list[Row]]]:
-    """Each explanation with the rows of its claims, and their figures, tables and sections as its title."""
-    found = []
-    for sweep in sweeps:
-        for each in sweep.explanations:
-            members = [row for row in rows if row.sweep is sweep and row.claim in each.claims]
-            title = joined(dict.fromkeys(row.reference or sweep.manifest.name for row in members))
-            found.append((title, each, members))
-    return sorted(found, key=lambda paragraph: paragraph[2][0].order)
 
 
 def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:

@@ -19,15 +19,15 @@ FOLDER = Path("results/reproduction")
 """Folder of reproductions without `--out`, each named after the time of its start."""
 
 _DESCRIPTION = """\
-Run the sweeps of the thesis as one plan, and write the report of each sweep and one page with all claims. The
-page has the number of the thesis, the number found here and the verdict side by side.
+Run the sweeps of the thesis as one plan, and write the report of each sweep, one page with all claims, and a
+page for each chapter. The number of the thesis, the number found here and the verdict stand side by side.
 
 ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
 chapter5, or all: every sweep with claims of the thesis. Studies are run by name.
 
 --page runs nothing: it makes the page from results of several commands, of whatever age and machine. DIR is a
 results folder, or a folder above some. The newest results of each sweep count, and are judged by the claims
-and tests of this version.
+and tests of this version. Results of studies are quoted by the explanations.
 """
 
 _EXAMPLES = """\
@@ -89,13 +89,12 @@ def main(name: str, words: Sequence[str]) -> int:
 def _join(args: Namespace) -> int:
     """Make the page from results that are there."""
     from bojax.claims.reproduction import PAGE, TEXT, joined_reproduction
-    from bojax.report.text import counted
     from bojax.report.verdicts import in_words
 
     out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
     pages = [out] if out.suffix in (".html", ".md") else [out / TEXT, out / PAGE]
     claims = joined_reproduction(pages, args.page, selected([ALL]), args.count_in)
-    print(f"{counted(len(claims), 'claim')}: {in_words(claims)}", file=sys.stderr)
+    print(in_words(claims), file=sys.stderr)
     print(pages[-1])
     return 0
 
@@ -149,7 +148,10 @@ def _parser(name: str) -> Parser:
     page = "run nothing, but make the page from these results"
     parser.option("--page", "DIR", page, path, nargs="+", action="extend", default=[])
     count = "with --page: also update the numbers of claims in a sentence of these files: Of N claims ..., N "
-    count += "are reproduced, N are not, and N are inconclusive"
+    count += (
+        "are reproduced, N are not, and N are inconclusive; N of them rest on a bound that the thesis does "
+    )
+    count += "not print"
     parser.option("--count-in", "FILE", count, path, nargs="+", default=[])
     multiverse = (
         "test the claims under the choices that a paper leaves open: a file, or a name in sweeps/multiverse"

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bojax.config.claims import Claim, Test
+from bojax.config.claims import Cause, Claim, Test
 from bojax.report import statistics
 from bojax.report.columns import NoColumn
 from bojax.report.manifest import Unread
@@ -22,6 +22,10 @@ from bojax.results.store import ResultsError
 from bojax.text import error_line
 
 Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
+
+FailureCause = Cause | Literal["untested"]
+"""Why a claim is not reproduced, or inconclusive: the cause of the explanation that names it. Without one, it
+is untested if the results have too few runs or lack a table, and otherwise unexplained."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,15 @@ class Undecidable(Exception):
 
 def evaluate(results: Results) -> list[dict[str, Any]]:
     """The entries of `claims.json`, one per claim of the sweep, in its order."""
-    return [_entry(results, claim) for claim in results.claims]
+    entries = [_entry(results, claim) for claim in results.claims]
+    return [{**entry, "cause": cause_of(results, entry)} for entry in entries]
+
+
+def cause_of(results: Results, entry: Mapping[str, Any]) -> FailureCause | None:
+    """The cause of the verdict of an entry of `claims.json`; none of a reproduced claim."""
+    causes = {name: each.cause for each in results.explanations for name in each.claims}
+    rest = "untested" if "reason" in entry["test"] else "unexplained"
+    return None if entry["verdict"] == "reproduced" else causes.get(entry["id"], rest)
 
 
 def decide(results: Results, test: Test) -> Finding:
@@ -102,9 +114,11 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
     is_read = isinstance(claim, Claim)
     settings = claim.model_dump(mode="json") if is_read else claim.mapping
     test = claim.test.model_dump(mode="json", exclude_none=True) if is_read else settings.get("test") or {}
-    entry: dict[str, Any] = {key: settings.get(key) for key in ("id", "source", "claim", "thesis")}
-    entry |= {"changed": dict(results.manifest.changed), "ours": None, "interval": None, "runs": 0}
-    entry["verdict"] = "inconclusive"
+    entry: dict[str, Any] = {key: settings.get(key) for key in ("id", "source", "claim")}
+    entry |= {"class": settings.get("class", "claim"), "cause": None}
+    entry |= {"own_bound": settings.get("own_bound", False), "thesis": settings.get("thesis")}
+    entry |= {"ours": None, "interval": None, "runs": 0, "verdict": "inconclusive"}
+    entry |= {"share": None, "configurations": None, "changed": dict(results.manifest.changed)}
     try:
         if isinstance(claim, Unread):
             raise Undecidable(claim.reason)

@@ -7,11 +7,12 @@ from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import statistics, tables
 from bojax.report.drawing.base import Drawing
+from bojax.report.explanations import AtHand, explanations_of
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.report.template import fill
 from bojax.report.text import counted, joined, line, plain, ranged, seconds
-from bojax.report.verdicts import TestedClaim, explanations_of, tally
+from bojax.report.verdicts import TestedClaim, tally
 
 
 def render(
@@ -34,7 +35,7 @@ def render(
         counts=tally(tested),
         changed=results.manifest.changes,
         claims=tested,
-        explanations=explanations_of(results.manifest, tested),
+        explanations=explanations_of(AtHand(results, tested), {}),
         plates=drawings,
         ranked=tables.ranked(results),
         outcomes=tables.outcomes(results),

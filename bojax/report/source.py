@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bojax import __version__
-from bojax.config.claims import Claim
+from bojax.config.claims import Claim, Explanation
 from bojax.config.component import Component
 from bojax.config.errors import printable
-from bojax.config.sweep_file import Report
+from bojax.config.sweep_file import Report, published_report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
 from bojax.report.budgets import held
@@ -114,6 +114,16 @@ class Results:
     def claims(self) -> tuple[Claim | Unread, ...]:
         """The claims of the sweep."""
         return claims_of(self.manifest)
+
+    @cached_property
+    def explanations(self) -> Sequence[Explanation]:
+        """Why claims are not reproduced or inconclusive.
+
+        A sweep that is part of bojax has the explanations of this version, which may be later than the
+        results. Any other sweep, even one of the same name, has the explanations in its manifest.
+        """
+        published = published_report(self.manifest.name) if self.manifest.is_published else None
+        return (published or self.report).explanations
 
     @property
     def reference(self) -> Point | None:

@@ -1,18 +1,18 @@
-"""The entries of `claims.json` as pages and the terminal show them, and why claims are not reproduced."""
+"""The entries of `claims.json` as pages and the terminal show them."""
 
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from bojax.config.claims import Cause
+from pydantic import Field
+
+from bojax.config.claims import EntryClass
 from bojax.config.errors import printable
-from bojax.config.sweep_file import published_report
-from bojax.report.findings import Verdict
-from bojax.report.manifest import Bounds, Count, Manifest, Recorded, validated
+from bojax.report.findings import FailureCause, Verdict
+from bojax.report.manifest import Bounds, Count, Recorded, Share, validated
 from bojax.report.statistics import Interval
-from bojax.report.text import MISSING, counted, joined, plain
+from bojax.report.text import MISSING, counted, joined, percent, plain
 from bojax.results.store import read_json
 
 CLAIMS = "claims.json"
@@ -48,18 +48,35 @@ class TestEntry(Recorded):
 
 
 class TestedClaim(Recorded):
-    """A claim with its verdict; the properties are texts for pages."""
+    """An entry of a sweep with its verdict; the properties are texts for pages. Only claims are counted."""
 
     id: str
     claim: str
     source: str | None
+    entry_class: EntryClass = Field(default="claim", alias="class")  # earlier versions had claims only
+    own_bound: bool = False
+    cause: FailureCause | None = None  # none of a reproduced claim
     thesis: Any
     changed: dict[str, Any]
     ours: float | str | None
     interval: Bounds | None
     runs: Count
     verdict: Verdict
+    share: Share | None = None  # of the configurations of a multiverse in which the claim holds
+    configurations: Count | None = None
     test: TestEntry
+
+    @property
+    def is_claim(self) -> bool:
+        """Whether it is a statement of the thesis, which is counted, rather than a variant or a check."""
+        return self.entry_class == "claim"
+
+    @property
+    def robustness(self) -> str:
+        """The share of configurations in which the claim holds; empty if unknown."""
+        if self.share is None or self.configurations is None:
+            return ""
+        return f"{percent(self.share)} of {self.configurations:,}"
 
     @property
     def mark(self) -> str:
@@ -128,84 +145,41 @@ def read_claims(folder: Path) -> list[TestedClaim]:
     return validated(list[TestedClaim], read_json(path), str(path))
 
 
-def tally(claims: Sequence[TestedClaim]) -> list[tuple[Verdict, str, int]]:
-    """Each verdict with its mark and the number of claims that have it."""
+def claims_among(entries: Iterable[TestedClaim]) -> list[TestedClaim]:
+    """The entries that are claims, which alone are counted: neither variants nor checks."""
+    return [entry for entry in entries if entry.is_claim]
+
+
+def tally(entries: Iterable[TestedClaim]) -> list[tuple[Verdict, str, int]]:
+    """Each verdict with its mark and the number of claims among the entries that have it."""
+    claims = claims_among(entries)
     return [(verdict, mark, sum(c.verdict == verdict for c in claims)) for verdict, mark in MARKS.items()]
 
 
-def in_words(claims: Sequence[TestedClaim]) -> str:
-    """The number of each verdict: `2 reproduced, 0 not reproduced and 1 inconclusive`."""
-    return joined(f"{count} {verdict}" for verdict, _, count in tally(claims))
+def verdicts_in_words(entries: Iterable[TestedClaim]) -> str:
+    """The number of claims with each verdict: `2 reproduced, 0 not reproduced and 1 inconclusive`."""
+    return joined(f"{count} {verdict}" for verdict, _, count in tally(entries))
+
+
+def in_words(entries: Sequence[TestedClaim]) -> str:
+    """The number of claims and their verdicts, and the number of other entries."""
+    claims = claims_among(entries)
+    others = len(entries) - len(claims)
+    parts = [f"{counted(len(claims), 'claim')}: {verdicts_in_words(claims)}"] if claims or not others else []
+    parts += [f"{others} variant{'s' * (others > 1)} or check{'s' * (others > 1)}"] if others else []
+    return "; ".join(parts)
 
 
 def print_verdicts(folder: Path, *, is_brief: bool = False) -> None:
     """Print the verdicts of a results folder on standard error; nothing of a sweep without claims.
 
-    There is one line per claim, unless `is_brief`, and one with the number of each verdict.
+    There is one line per entry, unless `is_brief`, and one with the number of each verdict.
     """
     claims = read_claims(folder) if (folder / CLAIMS).is_file() else []
     for claim in () if is_brief else claims:
-        reason = f" ({claim.test.reason})" if claim.test.reason else ""
-        told = printable(f"{claim.id}: {claim.claim}{reason}")
+        notes = [] if claim.is_claim else [claim.entry_class]
+        notes += [claim.test.reason] if claim.test.reason else []
+        told = printable(f"{claim.id}: {claim.claim}{f' ({joined(notes)})' if notes else ''}")
         print(f"{claim.verdict:<14}  {told}", file=sys.stderr)
     if claims:
-        told = f"{folder}: {counted(len(claims), 'claim')}: {in_words(claims)}"
-        print(printable(told), file=sys.stderr)
-
-
-CAUSES: dict[Cause | Literal["untested"], str] = {
-    "choice": "a choice that the thesis leaves open",
-    "slip": "a slip of the thesis",
-    "few-runs": "too few printed runs",
-    "unexplained": "unexplained",
-    "untested": "not tested",
-}
-"""Each cause in words. A claim is untested if these results have too few runs, or lack a table."""
-
-
-@dataclass(frozen=True)
-class Explained:
-    """An explanation in these results."""
-
-    cause: Cause | Literal["untested"]
-    text: str  # a paragraph; empty if the sweep has no explanation
-    sweeps: Sequence[str]  # whose results are the evidence
-    claims: Sequence[TestedClaim]  # that it explains and that are not reproduced, or inconclusive
-
-    @property
-    def cause_in_words(self) -> str:
-        """The cause as pages show it."""
-        return CAUSES[self.cause]
-
-
-def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[Explained]:
-    """The explanations of those claims that are not reproduced, or inconclusive, in the order of the sweep.
-
-    A sweep that is part of bojax has the explanations of this version, which may be later than the results.
-    Any other sweep, even one of the same name, has the explanations in its manifest. Claims without an
-    explanation come last: those that could not be tested, and those that are unexplained.
-    """
-    published = published_report(manifest.name) if manifest.is_published else None
-    report = published or manifest.report
-    left = [claim for claim in claims if claim.verdict != "reproduced"]
-    found = []
-    for each in report.explanations:
-        if members := [claim for claim in left if claim.id in each.claims]:
-            found.append(Explained(each.cause, each.text.strip(), each.sweeps, members))
-        left = [claim for claim in left if claim.id not in each.claims]
-    untested = [claim for claim in left if claim.test.reason]
-    unexplained = [claim for claim in left if not claim.test.reason]
-    rest = Explained("unexplained", "", (), unexplained), Explained("untested", "", (), untested)
-    return [*found, *(each for each in rest if each.claims)]
-
-
-def causes_of(explanations: Iterable[Explained]) -> str:
-    """How many claims have which cause, a sentence for each verdict; empty if all are reproduced."""
-    pairs = [(claim.verdict, each.cause) for each in explanations for claim in each.claims]
-    sentences = []
-    for verdict in ("not reproduced", "inconclusive"):
-        causes = [cause for of, cause in pairs if of == verdict]
-        counts = [f"{causes.count(cause)} {text}" for cause, text in CAUSES.items() if cause in causes]
-        if counts:
-            sentences.append(f"Causes of the {len(causes)} {verdict}: {joined(counts)}.")
-    return " ".join(sentences)
+        print(printable(f"{folder}: {in_words(claims)}"), file=sys.stderr)

@@ -14,8 +14,6 @@ from bojax.report.build import build_report
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results
 
-THESIS = ["fig-4.6", "fig-4.8"]
-
 
 def results(folder, name="fig-4.6", **changes):
     """Made-up results under the name of a sweep of bojax, with a report."""
@@ -42,8 +40,8 @@ def reported(tmp_path_factory):
 
 def verdicts(folder):
     """The verdict of each claim of the only sweep in a folder."""
-    ((_, claims, _),) = collected([folder], THESIS)
-    return {claim.id: claim.verdict for claim in claims}
+    ((found, _),) = collected([folder])
+    return {claim.id: claim.verdict for claim in found.claims}
 
 
 def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
@@ -55,7 +53,8 @@ def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
     results(tmp_path / "a" / "mine", name="mine")
     results(tmp_path / "b" / "study-ties", name="study-ties")
     readme = tmp_path / "readme.md"
-    readme.write_text("Of 0 claims of it,\n0 are reproduced, 0 are not, and 0\nare inconclusive: so.")
+    sentence = "Of 0 claims of it, with 200 runs,\n0 are reproduced, 0 are not, and 0\nare inconclusive"
+    readme.write_text(f"{sentence}; 7 of\nthem rest on.")
     page = tmp_path / "page.md"
     sources = [str(tmp_path / name) for name in "ab"]
     words = ["--page", *sources, "--out", str(page), "--count-in", str(readme)]
@@ -63,10 +62,13 @@ def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
     told, text = capsys.readouterr(), page.read_text()
     assert told.out == f"{page}\n"
     numbers = re.search(
-        r"^(\d+) claims, tested by 2 sweeps: (\d+) rep.*?, (\d+) not .*? and (\d+) inc", text, re.M
+        r"^(\d+) claims, tested by 2 sweeps: (\d+) rep.*?, (\d+) not .*? and (\d+) inc.*?; (\d+) of",
+        text,
+        re.M,
     )
     assert numbers and told.err.startswith(f"{numbers[1]} claims: {numbers[2]} reproduced")
-    assert re.findall(r"\d+", readme.read_text()) == list(numbers.groups())
+    total, *counts = numbers.groups()
+    assert re.findall(r"\d+", readme.read_text()) == [total, "200", *counts]
     assert (
         "| command 1 | `bojax reproduce fig-4.8` |" in text
         and "| command 2 | `bojax reproduce fig-4.6` |" in text
@@ -104,9 +106,9 @@ def test_a_verdict_is_kept_where_its_table_is_missing(reported):
 
 
 def test_settings_that_the_sweep_has_no_longer_are_changed(reported):
-    ((found, claims, _),) = collected([reported], THESIS)
-    assert found.manifest.changed["runs"] == [200, 40]
-    assert all(claim.changed["runs"] == [200, 40] for claim in claims)
+    ((found, _),) = collected([reported])
+    assert found.results.manifest.changed["runs"] == [200, 40]
+    assert all(claim.changed["runs"] == [200, 40] for claim in found.claims)
 
 
 def test_a_setting_of_one_variant_changes_the_claims_of_that_variant_alone(tmp_path):
@@ -116,10 +118,12 @@ def test_a_setting_of_one_variant_changes_the_claims_of_that_variant_alone(tmp_p
 
     before, after = results(tmp_path / "before"), results(tmp_path / "after")
     edit_manifest(after, deepen)
-    ((_, old, _),), ((_, new, _),) = (collected([folder], THESIS) for folder in (before, after))
-    touched = {now.id for then, now in zip(old, new, strict=True) if now.changed != then.changed}
+    ((old, _),), ((new, _),) = (collected([folder]) for folder in (before, after))
+    touched = {
+        now.id for then, now in zip(old.claims, new.claims, strict=True) if now.changed != then.changed
+    }
     of_kcbts = {claim.id for claim in load_published("fig-4.6").claims if "kcbts" in claim.test.names}
-    assert touched == of_kcbts and 0 < len(touched) < len(new)
+    assert touched == of_kcbts and 0 < len(touched) < len(new.claims)
 
 
 def test_other_results_are_refused(tmp_path):
@@ -128,15 +132,19 @@ def test_other_results_are_refused(tmp_path):
         ({"status": "running"}, "has not finished"),
         (
             {"status": "finished", "name": "mine"},
-            "got results of mine; allowed: those of sweeps of the thesis",
+            "got results of mine; allowed: those of sweeps of bojax",
         ),
-        ({"name": "study-ties"}, "got results of study-ties; allowed"),
         ({"name": "fig-4.6", "is_published": False}, "got results of fig-4.6; allowed"),
     ):
         edit_manifest(folder, lambda manifest, changes=changes: manifest.update(changes))
         with pytest.raises(ResultsError, match=error) as raised:
-            collected([folder], THESIS)
+            collected([folder])
         assert "\n" not in str(raised.value)
+    edit_manifest(folder, lambda manifest: manifest.update(name="study-ties", is_published=True))
+    with pytest.raises(
+        ResultsError, match="got results of study-ties; allowed: also those of a sweep of the"
+    ):
+        joined_reproduction([tmp_path / "p.md"], [folder], ["fig-4.6"])
 
 
 def test_misuse_is_one_line(tmp_path, monkeypatch, capsys):

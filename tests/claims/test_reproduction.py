@@ -1,4 +1,4 @@
-"""The page over several results folders: every claim with its verdict, in the order of the thesis."""
+"""The pages over several results folders: every claim with its verdict, in the order of the thesis."""
 
 import json
 import re
@@ -58,6 +58,18 @@ def pages(folder, sources, **options):
     return Page(path.read_text(encoding="utf-8")), (folder / "reproduction.md").read_text(encoding="utf-8")
 
 
+def chapter(folder, file):
+    """The page of a chapter as a browser finds it, and its text."""
+    below = folder / "reproduction"
+    html, text = (below / f"{file}.{suffix}" for suffix in ("html", "md"))
+    return Page(html.read_text(encoding="utf-8")), text.read_text(encoding="utf-8")
+
+
+def part(text, title):
+    """What stands below a heading of a chapter, without the next place."""
+    return text.split(f"### {title}\n")[1].split("\n<a id")[0].strip()
+
+
 def cells(text, start):
     """Cells of the row of a Markdown table that contains a text."""
     (row,) = [line for line in text.splitlines() if start in line and line.startswith("|")]
@@ -86,22 +98,81 @@ def test_claims_are_counted_and_shown_beside_the_thesis(tmp_path):
         claim("fig-4.6/fails", "Fig. 4.6, p. 100 of the PDF", "not reproduced"),
     ]
     page, text = pages(tmp_path, [write(tmp_path / "fig-4.6", claims)])
-    sentence = "3 claims, tested by 1 sweep: 1 reproduced, 1 not reproduced and 1 inconclusive."
+    sentence = (
+        "3 claims, tested by 1 sweep: 1 reproduced, 1 not reproduced and 1 inconclusive; 0 of them rest on"
+    )
     assert sentence in page.text and sentence in text
     assert cells(text, "statement fig-4.6/share") == [
         "Fig. 4.6, p. 99-100",
-        "statement fig-4.6/share",
+        "[statement fig-4.6/share](reproduction/chapter4.md#fig-4-6-share)",
         "0.75",
         "80.0% [74.0%, 85.0%]",
-        "200",
         "reproduced",
-        "`fig-4.6`",
+        "",
     ]
     here = cells(text, "statement fig-4.6/order")[3]
     assert here == "a 20 > b 8 > c 7 (b \N{MINUS SIGN} c 1.0 [\N{MINUS SIGN}2.0, 4.0])"
-    assert cells(text, "statement fig-4.6/fails")[5] == "**not reproduced**"
+    assert cells(text, "statement fig-4.6/fails")[4] == "**not reproduced**"
+    of_chapter, its_text = chapter(tmp_path, "chapter4")
     for said in ("80.0%", "[74.0%, 85.0%]", "99-100", "a 20 > b 8 > c 7", "Chapter 4: Sequential planning"):
-        assert said in page.text
+        assert said in page.text and said in of_chapter.text
+    assert part(its_text, "statement fig-4.6/order").splitlines()[:5] == [
+        "- verdict: inconclusive",
+        "- thesis: a > b > c",
+        "- here: a 20 > b 8 > c 7",
+        "- a \N{MINUS SIGN} b 12.0 [3.0, 21.0]",
+        "- b \N{MINUS SIGN} c 1.0 [\N{MINUS SIGN}2.0, 4.0]",
+    ]
+
+
+def test_variants_and_checks_are_shown_apart_and_not_counted(tmp_path):
+    why = {"claims": ["v", "a"], "cause": "slip", "text": "It is so."}
+    share = {"share": 0.25, "configurations": 320}
+    claims = [
+        claim("a", "Fig. 3.1, p. 72", "not reproduced", own_bound=True, **share),
+        claim("v", "Fig. 3.1, p. 72", "not reproduced", **{"class": "variant"}),
+        claim("k", "Fig. 3.1, p. 72", **{"class": "check"}),
+        claim("b", "Fig. 3.3, p. 74"),
+    ]
+    page, text = pages(tmp_path, [write(tmp_path / "mine", claims, report={"explanations": [why]})])
+    sentence = (
+        "2 claims, tested by 1 sweep: 1 reproduced, 1 not reproduced and 0 inconclusive; 1 of them rest on"
+    )
+    assert sentence in text and "Causes of the 1 not reproduced: 1 a slip" in text
+    assert "Variants and checks, 2 in all," in text and "`holds in`" in text
+    assert "statement v" not in text + page.text and "statement k" not in text + page.text
+    assert cells(text, "statement a")[4:] == ["**not reproduced** \N{DAGGER}", "25.0% of 320"]
+    assert cells(text, "| `mine` | 2 ")[3] == cells(text, "| all |")[3] == "2"
+    of_chapter, its_text = chapter(tmp_path, "chapter3")
+    assert "1 reproduced, 1 not reproduced and 0 inconclusive." in its_text
+    first = its_text.split("## Fig. 3.3")[0]
+    assert first.index("### statement a") < first.index("Variants and checks") < first.index("| statement v")
+    assert cells(its_text, "| statement k")[1] == "check" and "### statement v" not in its_text
+    told = part(its_text, "statement a")
+    assert "- why: a slip of the thesis. It is so." in told and "- holds in: 25.0% of 320" in told
+    assert its_text.count("It is so.") == of_chapter.text.count("It is so.") == 1
+    for each in of_chapter.all("a"):
+        if (place := each.get("href", "")).startswith("#"):
+            assert f'id="{place[1:]}"' in (tmp_path / "reproduction" / "chapter3.html").read_text(), place
+
+
+def test_each_link_of_the_pages_leads_to_a_place(tmp_path):
+    sources = ("Fig. 5.4 (top), p. 1", "Table 5.1", None, "the author's code")
+    claims = [claim(f"c/{number}", source, "inconclusive") for number, source in enumerate(sources)]
+    folders = [write(tmp_path / name, claims) for name in ("c", "table-5.3-x")]
+    pages(tmp_path, folders)
+    below = tmp_path / "reproduction"
+    assert {path.name for path in below.iterdir()} == {
+        f"{file}.{suffix}" for file in ("chapter5", "other") for suffix in ("html", "md")
+    }
+    for suffix, pattern in (("md", r"\]\(([^)]*)\)"), ("html", r'href="([^"]*)"')):
+        for path in (tmp_path / f"reproduction.{suffix}", *below.glob(f"*.{suffix}")):
+            targets = re.findall(pattern, path.read_text())
+            assert len(targets) > 1
+            for target in targets:
+                file, _, anchor = target.partition("#")
+                linked = (path.parent / file if file else path).read_text()
+                assert not anchor or f'id="{anchor}"' in linked, (path.name, target)
 
 
 def test_claims_are_in_the_order_of_the_thesis(tmp_path):
@@ -128,7 +199,8 @@ def test_claims_of_other_sources_stand_with_their_figure(tmp_path):
     code = claim("table-5.3-mountain-car/published", "the author's <code>")
     alone = claim("mine", None)
     page, text = pages(tmp_path, [write(tmp_path / "mine", [alone, code])])
-    assert "Table 5.3" in page.text and "source: the author's <code>" in page.text
+    assert "Table 5.3" in page.text and "the author's <code>" in page.text
+    assert "source: the author's &lt;code>; sweep: `mine`" in chapter(tmp_path, "chapter5")[1]
     assert cells(text, "statement table-5.3")[0] == "the author's &lt;code>"
     assert text.index("Chapter 5") < text.index("Other claims") < text.index("statement mine")
 
@@ -142,7 +214,7 @@ def test_changed_settings_are_marked_and_listed(tmp_path):
     ]
     page, text = pages(tmp_path, folders)
     assert "2 claims were tested with changed settings." in text
-    assert [cells(text, f"statement {name}")[5] for name in "abc"] == [
+    assert [cells(text, f"statement {name}")[4] for name in "abc"] == [
         *("reproduced, changed", "reproduced, changed", "reproduced")
     ]
     assert cells(text, "planner.iterations") == ["`planner.iterations`", "300", "50", "fig-3.1 and fig-3.3"]
@@ -156,10 +228,15 @@ def test_links_lead_to_the_reports_and_nothing_is_loaded(tmp_path):
     ]
     (folders[1] / "report.html").unlink()
     page, text = pages(tmp_path / "all", folders)
-    assert set(page.loaded) == {"../results/fig%204.6/now/report.html"}
-    html = (tmp_path / "all" / "reproduction.html").read_text()
-    assert not page.all("script") and not re.search(r"url\(|@import|https?://", html)
-    assert "](" not in text  # a copy of the text elsewhere has no broken links
+    address = "../results/fig%204.6/now/report.html"
+    of_chapter, its_text = chapter(tmp_path / "all", "chapter4")
+    assert address in page.loaded and f"../{address}" in of_chapter.loaded
+    assert (tmp_path / "all" / "reproduction" / ".." / address.replace("%20", " ")).exists()
+    for path in ("reproduction.html", "reproduction/chapter4.html"):
+        html = (tmp_path / "all" / path).read_text()
+        assert "<script" not in html and not re.search(r"url\(|@import|https?://", html)
+    # A copy of the text elsewhere has no broken links.
+    assert "report.html" not in text + its_text
 
 
 def test_the_machine_the_time_and_the_command_are_said(tmp_path):
@@ -213,7 +290,7 @@ def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
     errors = [{"error": None}, {"error": "out | of memory"}, {"error": "out | of memory"}]
     failed = write(tmp_path / "failed", [claim("f", "Fig. 3.3")], status="failed", chunks=errors)
     page, text = pages(tmp_path, [*folders, failed, tmp_path / "nowhere"])
-    rows = re.findall(r"^\| `(.*?)` \| (.*) \|$", text.split("## Chapter")[0], re.MULTILINE)
+    rows = re.findall(r"^\| `(.*?)` \| (.*) \|$", text.split("## All claims")[0], re.MULTILINE)
     assert [name for name, _ in rows] == [*broken, "nowhere", "failed"]
     reasons = dict(rows)
     assert reasons["nowhere"] == "no such results folder"
@@ -240,11 +317,6 @@ WHY = {"claims": ["c", "b"], "cause": "choice", "text": "Because of *it*, by -3.
 OTHER = {"claims": ["a"], "cause": "slip", "text": "Not shown."}
 
 
-def section(text):
-    """The paragraphs on what is not reproduced."""
-    return text.split("## What is not reproduced, and why")[1].split("## Sweeps")[0]
-
-
 def test_what_is_not_reproduced_is_explained_beside_the_numbers(tmp_path):
     claims = [
         claim("a", "Fig. 5.6b, p. 131"),
@@ -258,17 +330,18 @@ def test_what_is_not_reproduced_is_explained_beside_the_numbers(tmp_path):
         "Causes of the 2 not reproduced: 1 a choice that the thesis leaves open and 1 unexplained. "
         "Causes of the 1 inconclusive: 1 a choice that the thesis leaves open."
     )
-    assert counts in page.text and counts in text.split("## Chapter")[0]
-    assert section(text).strip().split("\n\n") == [
-        "### Fig. 3.3 (`mine`): unexplained",
-        "- statement d; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; **not reproduced**, changed",
-        "### Fig. 4.4 and Table 4.1 (`mine`): a choice that the thesis leaves open",
-        "- statement c; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; **not reproduced**\n"
-        "- statement b; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; inconclusive",
-        "Because of \\*it\\*, by \N{MINUS SIGN}3.",
+    assert counts in page.text and counts in text
+    assert "- why: unexplained.\n" in part(chapter(tmp_path, "chapter3")[1], "statement d")
+    of_chapter, its_text = chapter(tmp_path, "chapter4")
+    assert part(its_text, "statement c").splitlines()[4:] == [
+        "- why: a choice that the thesis leaves open. Because of \\*it\\*, by \N{MINUS SIGN}3. "
         "Evidence: `study-ties`.",
+        "- source: Fig. 4.4, p. 97; sweep: `mine`",
     ]
-    assert "Because of *it*, by \N{MINUS SIGN}3." in page.text and "Not shown." not in page.text
+    again = "- why: a choice that the thesis leaves open, as said of [statement c](#mine-c)."
+    assert again in part(its_text, "statement b")
+    assert "why" not in chapter(tmp_path, "chapter5")[1]
+    assert "Because of *it*, by \N{MINUS SIGN}3." in of_chapter.text
 
 
 def test_what_a_few_runs_do_not_decide_is_not_called_unexplained(tmp_path):
@@ -279,8 +352,11 @@ def test_what_a_few_runs_do_not_decide_is_not_called_unexplained(tmp_path):
     ]
     _, text = pages(tmp_path, [write(tmp_path / "mine", claims)])
     assert "Causes of the 2 inconclusive: 1 unexplained and 1 not tested." in text
-    titles = [line for line in section(text).splitlines() if line.startswith("###")]
-    assert titles == ["### Fig. 3.1 (`mine`): unexplained", "### Fig. 3.2 (`mine`): not tested"]
+    found = chapter(tmp_path, "chapter3")[1]
+    assert [line for line in found.splitlines() if "why" in line] == [
+        "- why: unexplained.",
+        "- why: not tested.",
+    ]
 
 
 def test_an_alias_has_the_report_of_its_sweep():
@@ -296,16 +372,19 @@ def test_earlier_results_of_a_published_sweep_have_its_explanations(tmp_path):
     verdicts = [claim(name, "Fig. 5.6b", "not reproduced") for name in each.claims]
     outdated = {"explanations": [{**OTHER, "claims": list(each.claims), "text": "Outdated."}]}
     folders = [write(tmp_path / "earlier", verdicts, name="fig-5.6b", report=outdated)]
-    page, text = pages(tmp_path, folders)
+    pages(tmp_path, folders)
+    page, text = chapter(tmp_path, "chapter5")
     assert " ".join(each.text.split()[:8]) in page.text and "Outdated." not in text
     edit_manifest(folders[0], lambda manifest: manifest.update(is_published=False))
-    page, text = pages(tmp_path, folders)
-    assert "Outdated." in text, "a user's sweep of the same name has explanations of its own"
+    pages(tmp_path, folders)
+    assert "Outdated." in chapter(tmp_path, "chapter5")[1], (
+        "a user's sweep of the same name has explanations of its own"
+    )
 
 
 def test_no_section_if_all_is_reproduced_and_a_folder_in_the_way_is_one_line(tmp_path):
     page, text = pages(tmp_path, [write(tmp_path / "a", [claim("a", "Fig. 3.1")])])
-    assert "Causes" not in text and "and why" not in text + page.text
+    assert "Causes" not in text and "why" not in chapter(tmp_path, "chapter3")[1]
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(ResultsError) as error:
         reproduction(tmp_path / "file", [], 1.0)
@@ -346,7 +425,7 @@ claims:
 """)
     assert main(["sweep", "mine.yaml", "episodes=2", "--out", "mine"]) == 0
     page, text = pages(tmp_path / "all", [tmp_path / "mine"])
-    verdict = cells(text, "exploration values find the goal sooner")[5]
+    verdict = cells(text, "exploration values find the goal sooner")[4]
     assert verdict.startswith("inconclusive: ") and "at least 20 are needed" in verdict
     assert "../mine/report.html" in page.loaded and "kind cpu" in page.text
 

@@ -1,0 +1,113 @@
+"""Explanations: their references are filled in from results at hand, and every failed claim has a cause."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bojax.report import verdicts
+from bojax.report.build import build_report
+from bojax.report.explanations import AtHand, causes_of, explanations_of
+from bojax.report.findings import evaluate
+from bojax.report.source import load
+from tests.report.synthetic import edit_manifest, set_column, write_results
+
+
+def results(folder, text="Because."):
+    """Made-up results, whose explanation of the claim `share-fails` is a text."""
+    why = {"claims": ["share-fails"], "cause": "choice", "text": text}
+    write_results(folder, recorded=0, report={"explanations": [why], "figures": ["returns"]})
+    edit_manifest(folder, lambda manifest: manifest.update(name="mine"))
+    return folder
+
+
+def at_hand(folder):
+    """Results with their claims."""
+    found = load(folder)
+    return AtHand(found, [verdicts.TestedClaim.model_validate(entry) for entry in evaluate(found)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return results(tmp_path_factory.mktemp("explained") / "mine")
+
+
+def test_references_are_filled_in_from_the_tables(folder, tmp_path):
+    own = at_hand(folder)
+    runs = own.results.runs_of(own.results.points[0])
+    step = own.results.by_step(own.results.points[0], "accumulated_reward")[:, 3]
+    for number, (reference, expected) in enumerate(
+        (
+            ("{kcbts: success}", "80.0% ["),
+            ("{kcbts: return}", f"{runs['return'].mean():.0f}"),
+            ("{kcbts: accumulated_reward at step 3}", f"{step.mean():.0f}"),
+            ("{kcbts: runs}", "40"),
+            ("{sbo-9: success}", "45.0% ["),
+            ("{claim share-fails: verdict}", "not reproduced"),
+            ("{claim share-open: here}", "45.0%"),
+            ("{claim share-open: interval}", "[30.7%, 60.2%]"),
+            ("{setting 0.5} and {thesis 93%}", "0.5 and 93%"),
+        )
+    ):
+        (each, *_) = explanations_of(at_hand(results(tmp_path / str(number), reference)), {})
+        assert each.text.startswith(expected), (reference, each.text)
+        assert "{" not in each.text and "not measured" not in each.text
+
+
+def test_results_that_are_not_at_hand_are_said_to_be_missing(tmp_path):
+    missing = [
+        "{study-ties / kcbts: return}",
+        "{sbo: success}",
+        "{nobody: success}",
+        "{kcbts: no_such_column}",
+        "{kcbts: return of episodes 1-3}",
+        "{kcbts: accumulated_reward at step 99}",
+        "{kcbts: label}",
+        "{claim share-open: share}",
+        "{claim nothing: verdict}",
+    ]
+    own = at_hand(results(tmp_path / "own", " | ".join(missing)))
+    (each, *_) = explanations_of(own, {})
+    assert each.text.split(" | ") == ["(not measured here)"] * len(missing)
+    other = at_hand(results(tmp_path / "other"))
+    (each, *_) = explanations_of(own, {"study-ties": other})
+    assert each.text.split(" | ")[0][0].isdigit()
+
+
+def test_runs_without_a_value_are_counted(tmp_path):
+    folder = results(tmp_path / "mine", "{kcbts: return}")
+    values = load(folder).runs["return"].copy()
+    values[:10] = np.nan
+    set_column(folder, "return", values)
+    (each, *_) = explanations_of(at_hand(folder), {})
+    assert each.text.endswith(" in 30 of 40 runs")
+
+
+def test_braces_of_earlier_versions_stay(tmp_path):
+    (each, *_) = explanations_of(at_hand(results(tmp_path / "mine", "The set {a, b}.")), {})
+    assert each.text == "The set {a, b}."
+
+
+def test_every_claim_that_fails_has_a_cause(folder):
+    build_report(folder)
+    causes = {entry["id"]: entry["cause"] for entry in json.loads((folder / "claims.json").read_text())}
+    assert causes == {
+        "order-holds": None,
+        "order-fails": "unexplained",
+        "share-holds": None,
+        "share-fails": "choice",
+        "share-open": "unexplained",
+        "trend-holds": None,
+        "missing": "untested",
+    }
+
+
+def test_only_claims_are_counted(folder):
+    claims = at_hand(folder).claims
+    kinds = {"order-fails": "variant", "share-holds": "check"}
+    entries = [claim.model_copy(update={"entry_class": kinds.get(claim.id, "claim")}) for claim in claims]
+    told = "5 claims: 2 reproduced, 1 not reproduced and 2 inconclusive; 2 variants or checks"
+    assert verdicts.in_words(entries) == told
+    own = AtHand(at_hand(folder).results, entries)
+    assert causes_of(explanations_of(own, {})).startswith("Causes of the 1 not reproduced: 1 a choice that")
+    assert verdicts.in_words([entry for entry in entries if not entry.is_claim]) == "2 variants or checks"
