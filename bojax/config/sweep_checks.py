@@ -88,11 +88,13 @@ def check_reference(reference: Reference, sweep: "Sweep", where: str) -> None:
             )
         return
     found = matching(sweep.points, reference.point)
-    if len(found) != 1:
-        known = dict.fromkeys(point.variant for point in sweep.points)
-        what = f"{len(found)} points, not one; add swept values (KEY VALUE)" if found else "unknown point"
+    name, known = reference.point, {point.variant for point in sweep.points}
+    if not found:
+        raise ConfigError(f"{where}: got {shown(name)}; unknown point{allowed_names(name, known)}")
+    if len(found) > 1:
         raise ConfigError(
-            f"{where}: got {shown(reference.point)}; {what}{allowed_names(reference.point, known)}"
+            f"{where}: got {shown(name)}, the name of {len(found)} points; allowed: a variant of one point, "
+            "or a name with swept values: NAME, KEY VALUE"
         )
     _check_column(sweep, None if reference.episodes else reference.column, where)
 

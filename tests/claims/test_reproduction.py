@@ -105,14 +105,14 @@ def test_claims_are_counted_and_shown_beside_the_thesis(tmp_path):
     assert cells(text, "statement fig-4.6/share") == [
         "Fig. 4.6, p. 99-100",
         "[statement fig-4.6/share](reproduction/chapter4.md#fig-4-6-share)",
+        "reproduced",
         "0.75",
         "80.0% [74.0%, 85.0%]",
-        "reproduced",
         "",
     ]
-    here = cells(text, "statement fig-4.6/order")[3]
+    here = cells(text, "statement fig-4.6/order")[4]
     assert here == "a 20 > b 8 > c 7 (b \N{MINUS SIGN} c 1.0 [\N{MINUS SIGN}2.0, 4.0])"
-    assert cells(text, "statement fig-4.6/fails")[4] == "**not reproduced**"
+    assert cells(text, "statement fig-4.6/fails")[2] == "**not reproduced**"
     of_chapter, its_text = chapter(tmp_path, "chapter4")
     for said in ("80.0%", "[74.0%, 85.0%]", "99-100", "a 20 > b 8 > c 7", "Chapter 4: Sequential planning"):
         assert said in page.text and said in of_chapter.text
@@ -141,7 +141,7 @@ def test_variants_and_checks_are_shown_apart_and_not_counted(tmp_path):
     assert sentence in text and "Causes of the 1 not reproduced: 1 a slip" in text
     assert "Variants and checks, 2 in all," in text and "`holds in`" in text
     assert "statement v" not in text + page.text and "statement k" not in text + page.text
-    assert cells(text, "statement a")[4:] == ["**not reproduced** \N{DAGGER}", "25.0% of 320"]
+    assert cells(text, "statement a")[2::3] == ["**not reproduced** \N{DAGGER}", "25.0% of 320"]
     assert cells(text, "| `mine` | 2 ")[3] == cells(text, "| all |")[3] == "2"
     of_chapter, its_text = chapter(tmp_path, "chapter3")
     assert "1 reproduced, 1 not reproduced and 0 inconclusive." in its_text
@@ -214,7 +214,7 @@ def test_changed_settings_are_marked_and_listed(tmp_path):
     ]
     page, text = pages(tmp_path, folders)
     assert "2 claims were tested with changed settings." in text
-    assert [cells(text, f"statement {name}")[4] for name in "abc"] == [
+    assert [cells(text, f"statement {name}")[2] for name in "abc"] == [
         *("reproduced, changed", "reproduced, changed", "reproduced")
     ]
     assert cells(text, "planner.iterations") == ["`planner.iterations`", "300", "50", "fig-3.1 and fig-3.3"]
@@ -425,7 +425,7 @@ claims:
 """)
     assert main(["sweep", "mine.yaml", "episodes=2", "--out", "mine"]) == 0
     page, text = pages(tmp_path / "all", [tmp_path / "mine"])
-    verdict = cells(text, "exploration values find the goal sooner")[4]
+    verdict = cells(text, "exploration values find the goal sooner")[2]
     assert verdict.startswith("inconclusive: ") and "at least 20 are needed" in verdict
     assert "../mine/report.html" in page.loaded and "kind cpu" in page.text
 

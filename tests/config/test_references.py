@@ -123,8 +123,12 @@ def test_columns_and_points_that_cannot_exist_are_found():
     ):
         with pytest.raises((AssertionError, KeyError)):
             check_columns(made_up(text or "Because.", column))
-    with pytest.raises(ConfigError, match="unknown point"):
-        check_columns(made_up("{fig-5.2a / kcbts: steps}"))
+    for text, reason in (
+        ("fig-5.2a / kcbts", "unknown point"),
+        ("fig-5.6b / emu-q", "the name of .* points"),
+    ):
+        with pytest.raises(ConfigError, match=reason):
+            check_columns(made_up(f"{{{text}: steps}}"))
 
 
 def test_the_explanations_and_claims_of_shipped_sweeps_refer_to_what_exists():
