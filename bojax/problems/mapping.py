@@ -6,6 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Scalar
 from typing_extensions import override
 
@@ -67,6 +68,14 @@ PROP_COLUMNS: Table = (
     ),
     _in_metres("edge_excess", "the same less that elsewhere; null if one of both has no grid point"),
     Column("props_found", "float64", "", "share of the props that the final map shows, in their place"),
+    Column(
+        "gap_height",
+        "float64",
+        "",
+        "mean height of the final map between the two nearest props, as a share of the lower one; null if no "
+        "grid point is there",
+        nullable=True,
+    ),
 )
 
 
@@ -158,6 +167,7 @@ class PropMapping(FieldProblem):
                 "edge_error": at_edges,
                 "edge_excess": at_edges - _rms(final.error, final.is_open & ~edge),
                 "props_found": jnp.mean(self._is_found(final, outside).astype(at_edges.dtype)),
+                "gap_height": self._gap_height(final, outside),
             }
         )
 
@@ -189,6 +199,20 @@ class PropMapping(FieldProblem):
         high = near & (final.mean[:, None] > 0.5 * self._blocks.heights[None])
         on = near & on
         return 2 * jnp.sum(high & on, axis=0) > jnp.sum(high | on, axis=0)
+
+    def _gap_height(self, final: Map, outside: Float[Array, "G K"]) -> Scalar:
+        # Between two props is what their common bounding box has outside all props.
+        first, second = np.triu_indices(len(self._blocks.heights), 1)
+        if not len(first):
+            return jnp.full_like(final.offset, jnp.nan)
+        low, high, heights = self._blocks.boxes[:, :2], self._blocks.boxes[:, 2:], self._blocks.heights
+        apart = jnp.maximum(jnp.maximum(low[first] - high[second], low[second] - high[first]), 0.0)
+        nearest = jnp.argmin(jnp.sum(apart**2, axis=1))
+        pair = jnp.asarray(np.stack([first, second], axis=1))[nearest]
+        lowest, highest = jnp.min(low[pair], axis=0)[None], jnp.max(high[pair], axis=0)[None]
+        is_inside = (final.points >= lowest) & (final.points <= highest)
+        between = final.is_open & jnp.all(is_inside, axis=1) & jnp.all(outside > 0.0, axis=1)
+        return _mean(final.mean, between) / jnp.min(heights[pair])
 
     @property
     def _blocks(self) -> Blocks:

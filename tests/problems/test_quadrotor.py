@@ -336,6 +336,7 @@ def test_scores_are_those_of_the_grid(room):
         "sparse_error": rms(far),
         "edge_error": rms(edge),
         "edge_excess": rms(edge) - rms(~edge),
+        "gap_height": np.asarray(found.mean)[(x >= 0.4) & (x <= 1.0) & (y > 1.2) & (y < 1.6)].mean() / 0.2,
     }
     for name, value in expected.items():
         assert score[name] == pytest.approx(value, abs=1e-9), name
@@ -347,12 +348,29 @@ def test_scores_of_regions_without_a_grid_point_are_null_and_a_flat_field_has_no
     coarse = dataclasses.replace(room, resolution=2)
     score, _ = scored(coarse, np.array([[0.5, 0.5], [2.0, 1.0]]), np.array([0.1, 0.2]))
     corners = [f"corner_{score}_{corner}" for score in ("error", "std") for corner in CORNERS]
-    names = ["explained_variance", *corners, "edge_error", "edge_excess"]
+    names = ["explained_variance", *corners, "edge_error", "edge_excess", "gap_height"]
     assert {name for name, value in score.items() if np.isnan(value)} == {*names}
     assert all(np.isfinite(value) for name, value in score.items() if name not in names)
     table = to_arrow(room.scores, {name: np.array([value]) for name, value in score.items()})
     assert [name for name in table.column_names if table[name].null_count] == names[1:]
     assert np.isnan(table["explained_variance"][0].as_py())
+
+
+def test_the_height_between_the_two_nearest_props_is_a_share_of_the_lower_one(room):
+    """The props on the left, of 0.2 and 0.25 m, have a gap of 0.4 m."""
+    points = np.asarray(room.grid())
+    outside = room._outside(f64(points))
+
+    def share(shown):
+        found = Map(f64(points), f64(shown), f64(shown), f64(shown), f64(0.0), jnp.ones(len(points), bool))
+        return float(room._gap_height(found, outside))
+
+    truth = np.asarray(values_of(room.field, f64(points)))
+    x, y = points.T
+    in_gap = (x >= 0.4) & (x <= 1.0) & (y > 1.2) & (y < 1.6)
+    assert in_gap.any() and share(truth) == pytest.approx(0.0)
+    assert share(np.where(in_gap, 0.1, truth)) == pytest.approx(0.5)
+    assert share(np.where(in_gap, 0.0, 1.0)) == pytest.approx(0.0)
 
 
 @eqx.filter_jit

@@ -1,0 +1,31 @@
+"""The entries of the shipped sweeps: what is counted, and what may be said of it."""
+
+import re
+
+from bojax.config.files import available
+from bojax.config.sweep import load_sweep
+
+SWEEPS = [sweep for name in available("sweeps") if (sweep := load_sweep(name)).source.stem == name]
+CLAIMS = [claim for sweep in SWEEPS for claim in sweep.claims]
+
+
+def test_no_entry_occurs_twice():
+    ids = [claim.id for claim in CLAIMS]
+    assert len(set(ids)) == len(ids)
+
+
+def test_what_is_counted_has_a_page_of_the_thesis_and_a_printed_counterpart():
+    for claim in CLAIMS:
+        if claim.entry_class == "claim":
+            assert re.search(r"p\. \d+", claim.source), claim.id
+            assert "published code" not in claim.source, claim.id
+
+
+def test_margins_and_factors_are_said_to_be_ours():
+    """The thesis prints no margin and no factor, and no tolerance of a share."""
+    for claim in CLAIMS:
+        test = claim.test
+        if getattr(test, "margin", None) or getattr(test, "factor", None):
+            assert claim.own_bound, claim.id
+        if test.kind == "agrees" and test.share is not None:
+            assert claim.own_bound, claim.id
