@@ -65,7 +65,7 @@ class RunState(eqx.Module):
     target: TargetProgress
     maps: Float[Array, "K 2 *grid"] | None
     visits: Visits | None
-    map_scores: Float[Array, "K 2"] | None
+    map_scores: Float[Array, "K 3"] | None
 
 
 class LearningRun(Experiment):
@@ -158,7 +158,7 @@ class LearningRun(Experiment):
         visits = map_scores = None
         if self._maps_a_plane:
             visits = Visits.none(self.map_resolution)
-            map_scores = jnp.full((len(self.map_episodes), 2), jnp.nan, self._dtype)
+            map_scores = jnp.full((len(self.map_episodes), 3), jnp.nan, self._dtype)
         return RunState(
             key=key,
             learner=learner,
@@ -225,9 +225,10 @@ class LearningRun(Experiment):
             summary["episodes_to_target"] = target.episodes
             summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
         if carry.map_scores is not None:
-            contrast, start = carry.map_scores.T
+            contrast, start, high = carry.map_scores.T
             summary["unseen_u"] = jnp.mean(contrast)
             summary["start_u_change"] = start[-1] - start[0]
+            summary["high_u_change"] = high[-1] - high[0]
         return summary | self.learner.summary(carry.learner)
 
     @override
@@ -445,6 +446,13 @@ _MAP_COLUMNS: Table = (
         "float64",
         "",
         "change of the mean U of the starting cells from the first of map_episodes to the last",
+        nullable=True,
+    ),
+    Column(
+        "high_u_change",
+        "float64",
+        "",
+        "change of the share of cells with a U in the upper half of the map's range, between the same maps",
         nullable=True,
     ),
 )

@@ -60,7 +60,11 @@ class Visits(eqx.Module):
             self.starts.at[cells[0, 0], cells[0, 1]].max(is_step[0]),
         )
 
-    def scores(self, u: Float[Array, "R R"]) -> Float[Array, "2"]:
-        """Mean U of the unvisited cells minus that of the starting cells; mean U of the starting cells."""
+    def scores(self, u: Float[Array, "R R"]) -> Float[Array, "3"]:
+        """Mean U of the unvisited cells minus that of the starting cells; the latter; share of high cells.
+
+        A cell is high if its U is nearer to the largest of the map than to the least.
+        """
         start = jnp.mean(u, where=self.starts)
-        return jnp.stack([jnp.mean(u, where=~self.seen) - start, start])
+        is_high = 2.0 * u > jnp.min(u) + jnp.max(u)
+        return jnp.stack([jnp.mean(u, where=~self.seen) - start, start, jnp.mean(is_high.astype(u.dtype))])

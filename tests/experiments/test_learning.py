@@ -556,7 +556,7 @@ def test_the_number_of_tests_does_not_change_what_learning_draws():
 
 def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     run = run_of(episodes=3, tests=0, map_episodes=(1, 3), map_resolution=4)
-    scores = {"unseen_u", "start_u_change"}
+    scores = {"unseen_u", "start_u_change", "high_u_change"}
     assert not scores & {column.name for column in run.tables["runs"]}  # its observation is one number
     run = on_strip(run)
     assert scores <= {column.name for column in run.tables["runs"]}
@@ -572,7 +572,8 @@ def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     assert 1 < seen.sum()
     np.testing.assert_array_equal(carry.visits.seen[0], seen)
     np.testing.assert_array_equal(np.argwhere(carry.visits.starts[0]), [[0, 1]])
-    np.testing.assert_allclose(carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1]], rtol=1e-6)
+    # U is 0.5, 1.5, 2.5 and 3.5 in the four rows of cells: two of them are high.
+    np.testing.assert_allclose(carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1], 0.5], rtol=1e-6)
     assert np.all(np.isnan(carry.map_scores[0, 1]))
 
 
