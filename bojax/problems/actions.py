@@ -22,6 +22,10 @@ class ActionSpace(eqx.Module):
         """The action of parameters in [-1, 1]; those of `Discrete` are an index."""
 
     @abc.abstractmethod
+    def encode(self, action: Float[Array, "K"]) -> Num[Array, "P"]:
+        """Parameters of an action of the space."""
+
+    @abc.abstractmethod
     def sample(self, key: Key[Array, ""]) -> Num[Array, "P"]:
         """Parameters of a random action."""
 
@@ -49,6 +53,10 @@ class Box(ActionSpace):
     @override
     def decode(self, parameters: Float[Array, "K"]) -> Float[Array, "K"]:
         return self.low + 0.5 * (parameters + 1.0) * (self.high - self.low)
+
+    @override
+    def encode(self, action: Float[Array, "K"]) -> Float[Array, "K"]:
+        return 2.0 * (action - self.low) / (self.high - self.low) - 1.0
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
@@ -83,6 +91,10 @@ class Discrete(ActionSpace):
         return self.values[parameters[0].astype(jnp.int32)]
 
     @override
+    def encode(self, action: Float[Array, "K"]) -> Int[Array, "1"]:
+        return jnp.argmax(jnp.all(self.values == action[None], axis=1))[None].astype(jnp.int32)
+
+    @override
     def sample(self, key: Key[Array, ""]) -> Int[Array, "1"]:
         return jax.random.randint(key, (1,), 0, self.count, jnp.int32)
 
@@ -112,6 +124,11 @@ class Mixed(ActionSpace):
         count = self.levels.shape[0]
         level = jnp.ceil(0.5 * (parameters[-1] + 1.0) * count).astype(jnp.int32) - 1
         return jnp.append(self.box.decode(parameters[:-1]), self.levels[jnp.clip(level, 0, count - 1)])
+
+    @override
+    def encode(self, action: Float[Array, "K"]) -> Float[Array, "K"]:
+        level = jnp.argmax(self.levels == action[-1]).astype(action.dtype)
+        return jnp.append(self.box.encode(action[:-1]), (2.0 * level + 1.0) / self.levels.shape[0] - 1.0)
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
@@ -145,6 +162,11 @@ class Balls(ActionSpace):
         # Along each ray from the centre, the cube is scaled to the ball.
         vectors = self._vectors(parameters)
         return (vectors * self.radius * _ratio(_largest(vectors), _length(vectors))).ravel()
+
+    @override
+    def encode(self, action: Float[Array, "K"]) -> Float[Array, "K"]:
+        vectors = self._vectors(action) / self.radius
+        return (vectors * _ratio(_length(vectors), _largest(vectors))).ravel()
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
