@@ -1,0 +1,373 @@
+"""Tree search over beliefs with double progressive widening: what PFT-DPW and POMCPOW share.
+
+Sunberg and Kochenderfer, Online algorithms for POMDPs with continuous state, action, and observation spaces
+(ICAPS 2018), Algorithms 1 to 3, without recursion: descend, expand, back up.
+"""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, Num
+
+from bojax.numerics.choices import Choice
+from bojax.numerics.lanes import any_lane, largest_in_lanes
+from bojax.numerics.simulation_keys import random_index, simulation_key
+from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
+from bojax.planning.leaf_values import LeafValue, Policy
+from bojax.planning.proposals import Proposal
+from bojax.planning.tree import ROOT, write_row
+from bojax.problems.actions import Discrete
+from bojax.problems.particles import Particles
+from bojax.problems.state_space import StateProblem
+
+
+class BeliefPlan(eqx.Module):
+    """The next action, and the planner's predictions for it.
+
+    Attributes:
+        action: The action.
+        value: Mean simulated return of action sequences that start with it.
+        visits: Number of simulations that start with it.
+    """
+
+    action: Float[Array, "K"]
+    value: Float[Array, ""]
+    visits: Int[Array, ""]
+
+
+class Expansion(eqx.Module):
+    """A new branch.
+
+    Attributes:
+        belief: What the tree stores for its belief node.
+        reward: Reward of the action.
+        is_terminal: Whether the episode ends with it.
+        states: States that the leaf value is estimated from.
+        alive: Which of them are not terminal.
+    """
+
+    belief: Belief
+    reward: Float[Array, ""]
+    is_terminal: Bool[Array, ""]
+    states: Float[Array, "M D"]
+    alive: Bool[Array, "M"]
+
+
+class BeliefSearch(eqx.Module):
+    """A planner that searches a tree of beliefs; a final class defines beliefs and how they are simulated.
+
+    Every iteration descends from the root, at each belief node to the action that maximises
+    Q + c sqrt(ln N / n), and on to a uniform draw among the branches of that action, until progressive
+    widening adds an action or a branch. Random numbers are functions of the key, the iteration and the level.
+    Loops have as many turns as the deepest lane of a batch needs: batch with `vmap(axis_name=LANES)`.
+
+    Attributes:
+        exploration: The factor c.
+        action_widening: Rule by which actions are added; of a discrete space all actions exist at once.
+        observation_widening: Rule by which branches are added.
+        proposal: How a new action is chosen.
+        leaf_value: Estimate of the value of a new belief.
+        recommendation: Whether the plan is the action of the highest "value" or that of most "visits".
+        first_action: Policy that gives the first action of the root; None to propose it as the others. Not
+            used if the space is discrete.
+        iterations: Simulations a plan.
+        depth: Actions to the horizon.
+        max_actions: Capacity of a belief node; ignored for a discrete space. Widening stops there.
+        max_branches: Capacity of an action node; with 1, a tree plans on one foreseen observation.
+    """
+
+    exploration: eqx.AbstractVar[Float[Array, ""]]
+    action_widening: eqx.AbstractVar[Widening]
+    observation_widening: eqx.AbstractVar[Widening]
+    proposal: eqx.AbstractVar[Proposal]
+    leaf_value: eqx.AbstractVar[LeafValue]
+    recommendation: eqx.AbstractVar[Choice]
+    first_action: eqx.AbstractVar[Policy | None]
+    iterations: eqx.AbstractVar[int]
+    depth: eqx.AbstractVar[int]
+    max_actions: eqx.AbstractVar[int]
+    max_branches: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Belief:
+        """What the tree stores for the root."""
+
+    @abc.abstractmethod
+    def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
+        """Score of an action without a visit, at a node with `visits`."""
+
+    @abc.abstractmethod
+    def follow(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+        branch: Int[Array, ""],
+        is_followed: Bool[Array, ""],
+    ) -> tuple[Belief, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+        """Pass along an existing branch, to the belief node `branch`, with the state of the simulation.
+
+        Returns the beliefs of the tree, unchanged unless `is_followed`, the next state, the reward, and
+        whether the simulation has ended.
+        """
+
+    @abc.abstractmethod
+    def expand(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        node: Int[Array, ""],
+        action: Float[Array, "K"],
+    ) -> Expansion:
+        """A new branch of an action at the belief node `node`."""
+
+    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
+        """The next action for a belief."""
+        tree = self.search(key, problem, belief)
+        values, visits = tree.mean_returns(jnp.asarray(ROOT, jnp.int32)), tree.totals[ROOT, :, 0]
+        slot = jnp.argmax(jnp.where(self.recommendation.is_("value"), values, visits))
+        parameters = tree.parameters[tree.children[ROOT, slot]]
+        return BeliefPlan(problem.actions.decode(parameters), values[slot], visits[slot].astype(jnp.int32))
+
+    def search(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefTree:
+        """The tree after all iterations."""
+        key_root, key_states, key_first, key_search = jax.random.split(simulation_key(key), 4)
+        space = problem.actions
+        num_actions = space.count if isinstance(space, Discrete) else self.max_actions
+        example = jax.eval_shape(space.sample, key)
+        first = None
+        if self.first_action is not None:
+            first = space.encode(self.first_action(problem, key_first, belief))
+        tree = BeliefTree.rooted(
+            self.root(key_root, problem, belief),
+            jnp.zeros(example.shape, example.dtype),
+            self.iterations,
+            num_actions,
+            self.max_branches,
+        )
+        states = draw_states(key_states, belief, self.iterations)
+        for_actions = self.action_widening.thresholds(num_actions)
+        if isinstance(space, Discrete):
+            for_actions = jnp.zeros_like(for_actions)
+        rules = _Rules(for_actions, self.observation_widening.thresholds(self.max_branches))
+
+        def iterate(i: Int[Array, ""], tree: BeliefTree) -> BeliefTree:
+            return self._iterate(problem, rules, first, tree, jax.random.fold_in(key_search, i), states[i], i)
+
+        return jax.lax.fori_loop(0, self.iterations, iterate, tree)
+
+    def _iterate(
+        self,
+        problem: StateProblem,
+        rules: "_Rules",
+        first: Num[Array, "P"] | None,
+        tree: BeliefTree,
+        key: Key[Array, ""],
+        state: Float[Array, "D"],
+        i: Int[Array, ""],
+    ) -> BeliefTree:
+        key_descent, key_proposal, key_expansion, key_leaf = jax.random.split(key, 4)
+        tree, end = self._descend(problem, rules, tree, key_descent, state)
+
+        # A lane whose descent has ended at the horizon or with the episode computes this too; the result is
+        # masked, as in a batch a branch would be computed in every lane.
+        parameters = self._propose(problem, first, tree, key_proposal, end)
+        action = problem.actions.decode(parameters)
+        expansion = self.expand(key_expansion, problem, tree, end.state, end.node, action)
+        remaining = jnp.where(end.is_expanded & ~expansion.is_terminal, self.depth - 1 - end.level, 0)
+        future = self.leaf_value(key_leaf, problem, expansion.states, expansion.alive, remaining)
+        gain = expansion.reward + jnp.where(remaining > 0, problem.discount * future, 0.0)
+
+        growth = Growth(
+            iteration=i,
+            belief=expansion.belief,
+            outcome=jnp.stack([expansion.reward, expansion.is_terminal.astype(gain.dtype)]),
+            parameters=parameters,
+            node=end.node,
+            slot=end.slot,
+            action=jnp.where(end.is_new_action, i, end.action),
+            branch=end.branch,
+            is_new_action=end.is_expanded & end.is_new_action,
+            is_new_branch=end.is_expanded,
+        )
+        totals = self._back_up(problem.discount, tree.totals, end, gain)
+        return eqx.tree_at(lambda tree: tree.totals, tree, totals).grown(growth)
+
+    def _descend(
+        self,
+        problem: StateProblem,
+        rules: "_Rules",
+        tree: BeliefTree,
+        key: Key[Array, ""],
+        state: Float[Array, "D"],
+    ) -> tuple[BeliefTree, "_Descent"]:
+        """Descend from the root until an action or a branch is added, or the simulation ends."""
+        nowhere = tree.totals.shape[0]
+
+        def is_active(carry: tuple[Belief, _Descent]) -> Bool[Array, ""]:
+            return any_lane(carry[1].is_active)
+
+        def next_level(carry: tuple[Belief, _Descent]) -> tuple[Belief, _Descent]:
+            beliefs, at = carry
+            key_branch, key_follow = jax.random.split(jax.random.fold_in(key, at.turn))
+            totals = row(tree.totals, at.node)
+            slot = self._select(rules, totals)
+            visits = row(totals[:, 0], slot)
+            # The number of branches is that of the thresholds which the earlier visits have reached.
+            num_branches = jnp.sum(rules.for_branches <= visits - 1.0, dtype=jnp.int32)
+            adds = jnp.sum(rules.for_branches <= visits, dtype=jnp.int32) > num_branches
+            action_node = row(tree.children, at.node, slot)
+            branch = row(tree.branches, action_node, random_index(key_branch, num_branches))
+            is_followed = at.is_active & ~adds
+            grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
+            action = problem.actions.decode(row(tree.parameters, action_node))
+            beliefs, state, reward, ended = self.follow(
+                key_follow, problem, grown, at.state, action, branch, is_followed
+            )
+            level = at.level + is_followed.astype(jnp.int32)
+            # Where the descent ends, the node, the state and the level stay those of the expansion.
+            return beliefs, _Descent(
+                turn=at.turn + 1,
+                level=level,
+                node=jnp.where(is_followed, branch, at.node),
+                state=jnp.where(is_followed, state, at.state),
+                slot=jnp.where(at.is_active, slot, at.slot),
+                action=jnp.where(at.is_active, action_node, at.action),
+                branch=jnp.where(at.is_active, num_branches, at.branch),
+                is_new_action=jnp.where(at.is_active, visits == 0.0, at.is_new_action),
+                is_active=is_followed & ~ended & (level < self.depth),
+                is_expanded=jnp.where(at.is_active, adds, at.is_expanded),
+                nodes=write_row(at.nodes, at.turn, jnp.where(at.is_active, at.node, nowhere)),
+                slots=write_row(at.slots, at.turn, slot),
+                rewards=write_row(at.rewards, at.turn, jnp.where(is_followed, reward, 0.0)),
+            )
+
+        zero, no = jnp.zeros((), jnp.int32), jnp.asarray(False)
+        start = _Descent(
+            turn=zero,
+            level=zero,
+            node=zero + ROOT,
+            state=state,
+            slot=zero,
+            action=zero,
+            branch=zero,
+            is_new_action=no,
+            is_active=~no,
+            is_expanded=no,
+            nodes=jnp.full((self.depth,), nowhere, jnp.int32),
+            slots=jnp.zeros((self.depth,), jnp.int32),
+            rewards=jnp.zeros((self.depth,), state.dtype),
+        )
+        beliefs, end = jax.lax.while_loop(is_active, next_level, (tree.beliefs, start))
+        return eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs), end
+
+    def _select(self, rules: "_Rules", totals: Float[Array, "A 2"]) -> Int[Array, ""]:
+        """The action of the highest upper confidence bound, among those that exist or may be added now."""
+        visits, returns = totals[:, 0], totals[:, 1]
+        at_node = jnp.sum(visits)
+        divisor = jnp.maximum(visits, 1.0)
+        bonus = self.exploration * jnp.sqrt(jnp.log(jnp.maximum(at_node, 1.0)) / divisor)
+        score = jnp.where(visits > 0.0, returns / divisor + bonus, self.score_unvisited(at_node))
+        return jnp.argmax(jnp.where(rules.for_actions <= at_node, score, -jnp.inf)).astype(jnp.int32)
+
+    def _propose(
+        self,
+        problem: StateProblem,
+        first: Num[Array, "P"] | None,
+        tree: BeliefTree,
+        key: Key[Array, ""],
+        end: "_Descent",
+    ) -> Num[Array, "P"]:
+        """The parameters of the action that the descent has ended with: a new one, or that of the tree."""
+        space = problem.actions
+        if isinstance(space, Discrete):
+            return end.slot[None].astype(tree.parameters.dtype)
+        totals = row(tree.totals, end.node)
+        proposed = self.proposal(key, space, tree, end.node, totals)
+        if first is not None:
+            proposed = jnp.where((end.node == ROOT) & (end.slot == 0), first, proposed)
+        return jnp.where(end.is_new_action, proposed, row(tree.parameters, end.action))
+
+    def _back_up(
+        self,
+        discount: Float[Array, ""],
+        totals: Float[Array, "V A 2"],
+        end: "_Descent",
+        gain: Float[Array, ""],
+    ) -> Float[Array, "V A 2"]:
+        """Credit every action on the way with its own reward and all later ones."""
+        num_levels = largest_in_lanes(end.turn)
+        # The reward of the expansion stands for all that follows it.
+        last = jnp.where(end.is_expanded, end.level, self.depth)
+        one = jnp.ones((), totals.dtype)
+
+        def level_above(k: Int[Array, ""], carry):
+            totals, later = carry
+            level = num_levels - 1 - k
+            reward = jnp.where(level == last, gain, end.rewards[level])
+            later = jnp.where(level > last, 0.0, reward + discount * later)
+            added = jnp.stack([one, later])
+            return totals.at[end.nodes[level], end.slots[level]].add(added, mode="drop"), later
+
+        later = jnp.zeros((), totals.dtype)
+        return jax.lax.fori_loop(0, num_levels, level_above, (totals, later))[0]
+
+
+class _Rules(NamedTuple):
+    """Visits after which a belief node may have each action, and an action node each branch."""
+
+    for_actions: Float[Array, "A"]
+    for_branches: Float[Array, "B"]
+
+
+class _Descent(eqx.Module):
+    """A descent from the root.
+
+    Attributes:
+        turn: Turns of the loop, the same in all lanes.
+        level: Number of branches followed.
+        node: Belief node reached.
+        state: State of the simulation there.
+        slot: Position of the action chosen there.
+        action: Its action node, if it has one.
+        branch: Number of branches of that action.
+        is_new_action: Whether the action has no visit yet.
+        is_active: Whether the descent goes on.
+        is_expanded: Whether it has ended with a new branch.
+        nodes: Belief node of each level; past the end for levels that were not reached.
+        slots: Position of the action chosen at each level.
+        rewards: Reward of the branch followed at each level.
+    """
+
+    turn: Int[Array, ""]
+    level: Int[Array, ""]
+    node: Int[Array, ""]
+    state: Float[Array, "D"]
+    slot: Int[Array, ""]
+    action: Int[Array, ""]
+    branch: Int[Array, ""]
+    is_new_action: Bool[Array, ""]
+    is_active: Bool[Array, ""]
+    is_expanded: Bool[Array, ""]
+    nodes: Int[Array, "H"]
+    slots: Int[Array, "H"]
+    rewards: Float[Array, "H"]
+
+
+def draw_states(key: Key[Array, ""], belief: Particles, number: int) -> Float[Array, "N D"]:
+    """Independent states of a belief, drawn by weight among those that are not terminal."""
+    log_weights = jnp.where(belief.terminal, -jnp.inf, belief.log_weights)
+    largest = jnp.max(log_weights)
+    # A belief without a weight, or with terminal states only, has no state to draw: any will do.
+    weights = jnp.where(jnp.isfinite(largest), jnp.exp(log_weights - largest), 1.0)
+    ends = jnp.cumsum(weights)
+    at = jax.random.uniform(key, (number,), ends.dtype) * ends[-1]
+    indices = jnp.searchsorted(ends, at, side="right")
+    return belief.states[jnp.minimum(indices, jnp.searchsorted(ends, ends[-1]))]

@@ -1,0 +1,107 @@
+"""Estimates of the value of a new belief of a tree."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
+
+from bojax.numerics.lanes import any_lane
+from bojax.numerics.simulation_keys import random_index
+from bojax.problems.particles import Particles
+from bojax.problems.state_space import StateProblem
+
+Policy = Callable[[StateProblem, Key[Array, ""], Particles], Float[Array, "K"]]
+"""An action for a belief: see `bojax.planning.oracles`."""
+
+
+class LeafValue(eqx.Module):
+    """An estimate of the value of a belief: states of equal weight."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        states: Float[Array, "M D"],
+        alive: Bool[Array, "M"],
+        remaining: Int[Array, ""],
+    ) -> Float[Array, ""]:
+        """The value if `remaining` actions are left; states that are not `alive` are terminal."""
+
+
+class StateValue(LeafValue):
+    """Mean value of the states if states were observed, `StateProblem.heuristic_value`."""
+
+    @override
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        states: Float[Array, "M D"],
+        alive: Bool[Array, "M"],
+        remaining: Int[Array, ""],
+    ) -> Float[Array, ""]:
+        values = jax.vmap(problem.heuristic_value)(states)
+        assert values is not None
+        return jnp.mean(jnp.where(alive, values, 0.0))
+
+
+class Rollout(LeafValue):
+    """Mean return of simulations of a policy, each from a random state of the belief, to the horizon.
+
+    Attributes:
+        policy: Policy that acts on a belief of one state; None for random actions.
+        num_rollouts: Number of simulations.
+    """
+
+    policy: Policy | None = eqx.field(static=True, default=None)
+    num_rollouts: int = eqx.field(static=True, default=1)
+
+    @override
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        states: Float[Array, "M D"],
+        alive: Bool[Array, "M"],
+        remaining: Int[Array, ""],
+    ) -> Float[Array, ""]:
+        key_start, key_rollout = jax.random.split(key)
+        starts = jax.vmap(draw_alive, (0, None))(jax.random.split(key_start, self.num_rollouts), alive)
+
+        def is_active(carry):
+            return any_lane(jnp.any(carry[2]))
+
+        def next_step(carry):
+            step, state, active, weight, total = carry
+            keys = jax.random.split(jax.random.fold_in(key_rollout, step), self.num_rollouts)
+            state, reward, ended = jax.vmap(act)(keys, state)
+            total = total + jnp.where(active, weight * reward, 0.0)
+            active = active & ~ended & (step + 1 < remaining)
+            return step + 1, state, active, weight * problem.discount, total
+
+        def act(key, state):
+            key_action, key_step = jax.random.split(key)
+            if self.policy is None:
+                action = problem.actions.decode(problem.actions.sample(key_action))
+            else:
+                known = Particles(state[None], jnp.zeros((1,), state.dtype), jnp.zeros((1,), bool))
+                action = self.policy(problem, key_action, known)
+            return problem.step(key_step, state, action)
+
+        dtype = states.dtype
+        active = jnp.broadcast_to(remaining > 0, (self.num_rollouts,))
+        weight, total = jnp.ones((), dtype), jnp.zeros((self.num_rollouts,), dtype)
+        start = jnp.zeros((), jnp.int32), states[starts], active, weight, total
+        return jnp.mean(jax.lax.while_loop(is_active, next_step, start)[-1])
+
+
+def draw_alive(key: Key[Array, ""], alive: Bool[Array, "M"]) -> Int[Array, ""]:
+    """Index of a uniform draw among the states that are not terminal; of the last state if all are."""
+    counts = jnp.cumsum(alive, dtype=jnp.int32)
+    choice = random_index(key, counts[-1])
+    return jnp.minimum(jnp.sum(counts <= choice, dtype=jnp.int32), alive.shape[0] - 1)

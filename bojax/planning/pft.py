@@ -1,0 +1,230 @@
+"""PFT-DPW: a tree of particle beliefs (Sunberg and Kochenderfer, ICAPS 2018, Algorithm 3)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
+
+from bojax.numerics.choices import Choice
+from bojax.numerics.lanes import any_lane
+from bojax.planning.belief_search import BeliefSearch, Expansion
+from bojax.planning.belief_tree import BeliefTree, Widening, row
+from bojax.planning.leaf_values import LeafValue, Policy, draw_alive
+from bojax.planning.proposals import Proposal
+from bojax.planning.tree import ROOT
+from bojax.problems.particles import Particles, systematic
+from bojax.problems.state_space import StateProblem
+
+
+class ParticleSet(eqx.Module):
+    """A belief of a few states of equal weight.
+
+    Attributes:
+        states: The states.
+        alive: Which of them are not terminal.
+    """
+
+    states: Float[Array, "M D"]
+    alive: Bool[Array, "M"]
+
+    def weighted(self) -> Particles:
+        """The same belief with weights, which are 0 for terminal states."""
+        num_alive = jnp.sum(self.alive, dtype=self.states.dtype)
+        log_weights = jnp.where(self.alive, -jnp.log(jnp.maximum(num_alive, 1.0)), -jnp.inf)
+        return Particles(self.states, log_weights, ~self.alive)
+
+
+class BeliefStep(eqx.Module):
+    """The belief MDP: an action and a simulated observation lead from one particle set to the next.
+
+    The reward is the mean of the particles' rewards, weighted by the likelihood of the observation.
+
+    By default termination is observed: the belief ends if the state that the observation is drawn from ends;
+    otherwise particles that end have no weight. If no weight is left, the moved particles stay, unweighted.
+
+    The published program instead weighs particles that end as the others, and the belief ends once all have.
+    What follows a belief is then not multiplied by the probability of survival. If the weights sum to less
+    than the spacing of float64 numbers at 1/M, the belief is drawn anew from the initial one, with reward 0.
+
+    Attributes:
+        is_published: Whether termination is treated as in the published program.
+    """
+
+    is_published: bool = eqx.field(static=True)
+
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        belief: ParticleSet,
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+    ) -> tuple[ParticleSet, Float[Array, ""], Bool[Array, ""]]:
+        """The next belief, its reward, and whether it is terminal; the observation is drawn from `state`."""
+        key_state, key_observation, key_move, key_resample, key_prior = jax.random.split(key, 5)
+        next_state, _, ended = problem.step(key_state, state, action)
+        observation = problem.observe(key_observation, state, action, next_state)
+
+        num = belief.alive.shape[0]
+        keys = jax.random.split(key_move, num)
+        moved, rewards, terminated = jax.vmap(problem.step, (0, 0, None))(keys, belief.states, action)
+        likelihood = jax.vmap(problem.log_likelihood, (None, 0, None, 0))
+        log_weights = likelihood(observation, belief.states, action, moved)
+        log_weights = jnp.where(belief.alive & ~jnp.isnan(log_weights), log_weights, -jnp.inf)
+
+        if self.is_published:
+            largest = jnp.max(log_weights)
+            # Spacing of float64 numbers, whatever the precision here: densities are small numbers.
+            num_alive = jnp.sum(belief.alive, dtype=rewards.dtype)
+            least = jnp.log(2.0) * (jnp.floor(-jnp.log2(num_alive)) - 52.0)
+            log_sum = jnp.where(largest > -jnp.inf, jax.nn.logsumexp(log_weights), -jnp.inf)
+            collapsed = log_sum < least
+            log_weights = jnp.where(collapsed, 0.0, log_weights)
+            indices = resample(key_resample, log_weights)
+            prior = jax.vmap(problem.initial)(jax.random.split(key_prior, num))
+            states = jnp.where(collapsed, prior, moved[indices])
+            alive = collapsed | ~terminated[indices]
+            reward = jnp.where(collapsed, 0.0, weighted_mean(log_weights, rewards))
+            return ParticleSet(states, alive), reward, ~jnp.any(alive)
+
+        left = belief.alive & ~terminated
+        reward = weighted_mean(_or_equal(log_weights, belief.alive), rewards)
+        indices = resample(key_resample, _or_equal(jnp.where(left, log_weights, -jnp.inf), left))
+        return ParticleSet(moved[indices], left[indices]), reward, ended | ~jnp.any(left)
+
+
+def resample(key: Key[Array, ""], log_weights: Float[Array, "M"]) -> Int[Array, "M"]:
+    """Systematic resampling of a few particles, by comparing all pairs."""
+    num = log_weights.shape[0]
+    ends = jnp.cumsum(_weights(log_weights))
+    points = (jnp.arange(num, dtype=ends.dtype) + jax.random.uniform(key, (), ends.dtype)) / num
+    # A point that is rounded to the sum of the weights would lie behind the last particle.
+    points = jnp.minimum(points, 1.0 - jnp.finfo(ends.dtype).eps) * ends[-1]
+    return jnp.minimum(jnp.sum(ends[None] <= points[:, None], axis=1, dtype=jnp.int32), num - 1)
+
+
+def weighted_mean(log_weights: Float[Array, "M"], values: Float[Array, "M"]) -> Float[Array, ""]:
+    """The mean of values; those without a weight may be anything."""
+    weights = _weights(log_weights)
+    total = jnp.sum(jnp.where(weights > 0.0, weights * values, 0.0))
+    return total / jnp.maximum(jnp.sum(weights), 1.0)
+
+
+def _weights(log_weights: Float[Array, "M"]) -> Float[Array, "M"]:
+    """Weights of which the largest is 1; zeros if there is none."""
+    largest = jnp.max(log_weights)
+    return jnp.where(jnp.isfinite(largest), jnp.exp(log_weights - largest), 0.0)
+
+
+def _or_equal(log_weights: Float[Array, "M"], alive: Bool[Array, "M"]) -> Float[Array, "M"]:
+    """The weights, or equal ones of the particles that are alive if no weight is left."""
+    equal = jnp.where(alive, 0.0, -jnp.inf).astype(log_weights.dtype)
+    return jnp.where(jnp.isfinite(jnp.max(log_weights)), log_weights, equal)
+
+
+class PFT(BeliefSearch):
+    """PFT-DPW: belief nodes are particle sets, resampled after every action.
+
+    An action without a visit scores its initial value, 0, while its node has at most one visit, and infinity
+    afterwards, as in the published program (MCTS.jl).
+
+    Attributes:
+        num_particles: Particles of a belief node.
+        belief_step: The belief MDP.
+    """
+
+    exploration: Float[Array, ""]
+    action_widening: Widening
+    observation_widening: Widening
+    proposal: Proposal
+    leaf_value: LeafValue
+    recommendation: Choice
+    belief_step: BeliefStep
+    first_action: Policy | None = eqx.field(static=True)
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    max_actions: int = eqx.field(static=True)
+    max_branches: int = eqx.field(static=True)
+    num_particles: int = eqx.field(static=True)
+
+    @override
+    def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> ParticleSet:
+        log_weights = jnp.where(belief.terminal, -jnp.inf, belief.log_weights)
+        log_weights = _or_equal(log_weights, jnp.ones_like(belief.terminal))
+        indices = systematic(key, log_weights, self.num_particles)
+        return ParticleSet(belief.states[indices], ~belief.terminal[indices])
+
+    @override
+    def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.where(visits <= 1.0, 0.0, jnp.inf)
+
+    @override
+    def follow(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+        branch: Int[Array, ""],
+        is_followed: Bool[Array, ""],
+    ) -> tuple[ParticleSet, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+        reward, is_terminal = row(tree.outcome, branch)
+        return tree.beliefs, state, reward, is_terminal > 0.0
+
+    @override
+    def expand(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        node: Int[Array, ""],
+        action: Float[Array, "K"],
+    ) -> Expansion:
+        key_state, key_step = jax.random.split(key)
+        belief = jax.tree.map(lambda leaf: row(leaf, node), tree.beliefs)
+        # At the root, the state is drawn from the full belief, not from the few particles of the tree.
+        drawn = belief.states[draw_alive(key_state, belief.alive)]
+        state = jnp.where(node == ROOT, state, drawn)
+        after, reward, is_terminal = self.belief_step(key_step, problem, belief, state, action)
+        return Expansion(after, reward, is_terminal, after.states, after.alive)
+
+
+class BeliefRollout(LeafValue):
+    """Return of one simulation of a policy in the belief MDP, to the horizon.
+
+    Attributes:
+        belief_step: The belief MDP.
+        policy: The policy.
+    """
+
+    belief_step: BeliefStep
+    policy: Policy = eqx.field(static=True)
+
+    @override
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        states: Float[Array, "M D"],
+        alive: Bool[Array, "M"],
+        remaining: Int[Array, ""],
+    ) -> Float[Array, ""]:
+        def is_active(carry):
+            return any_lane(carry[2])
+
+        def next_step(carry):
+            step, belief, active, weight, total = carry
+            key_action, key_state, key_step = jax.random.split(jax.random.fold_in(key, step), 3)
+            action = self.policy(problem, key_action, belief.weighted())
+            state = belief.states[draw_alive(key_state, belief.alive)]
+            belief, reward, ended = self.belief_step(key_step, problem, belief, state, action)
+            total = total + jnp.where(active, weight * reward, 0.0)
+            active = active & ~ended & (step + 1 < remaining)
+            return step + 1, belief, active, weight * problem.discount, total
+
+        one, zero = jnp.ones((), states.dtype), jnp.zeros((), states.dtype)
+        start = jnp.zeros((), jnp.int32), ParticleSet(states, alive), remaining > 0, one, zero
+        return jax.lax.while_loop(is_active, next_step, start)[-1]

@@ -1,0 +1,143 @@
+"""POMCPOW: a tree whose beliefs are weighted as simulations pass (Sunberg and Kochenderfer, ICAPS 2018)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
+
+from bojax.numerics.choices import Choice
+from bojax.numerics.simulation_keys import random_index
+from bojax.planning.belief_search import BeliefSearch, Expansion
+from bojax.planning.belief_tree import BeliefTree, Widening, row
+from bojax.planning.leaf_values import LeafValue, Policy
+from bojax.planning.proposals import Proposal
+from bojax.problems.particles import Particles
+from bojax.problems.state_space import StateProblem
+
+
+class Reservoirs(eqx.Module):
+    """Draws by weight from all simulated steps that have passed a branch.
+
+    Attributes:
+        steps: K simulated steps: the state, the reward, and whether the state is terminal.
+        observation: The observation of the branch.
+        log_weight: Logarithm of the sum of the weights of all steps.
+    """
+
+    steps: Float[Array, "K S"]
+    observation: Float[Array, "O"]
+    log_weight: Float[Array, ""]
+
+
+class POMCPOW(BeliefSearch):
+    """POMCPOW (Algorithm 2), with reservoirs for its lists of weighted states.
+
+    A simulation descends with a state. Where it passes an existing branch, its step is added to the branch,
+    weighted by the likelihood of the branch's observation, and replaced by a draw from the branch by weight.
+
+    Deviation: a branch keeps K reservoirs of one step in place of all steps (Chao, Biometrika 1982, for one
+    item). A new step of weight w takes each place with probability w over the sum of all weights; a draw
+    takes a random place. Each draw has the distribution of a draw from the list; draws of later visits are
+    correlated.
+
+    Attributes:
+        num_reservoirs: The number K.
+    """
+
+    exploration: Float[Array, ""]
+    action_widening: Widening
+    observation_widening: Widening
+    proposal: Proposal
+    leaf_value: LeafValue
+    recommendation: Choice
+    first_action: Policy | None = eqx.field(static=True)
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    max_actions: int = eqx.field(static=True)
+    max_branches: int = eqx.field(static=True)
+    num_reservoirs: int = eqx.field(static=True)
+
+    @override
+    def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Reservoirs:
+        # Never read: a simulation starts with a state of the belief itself.
+        state, action = belief.states[0], problem.actions.decode(problem.actions.sample(key))
+        observation = jax.eval_shape(problem.observe, key, state, action, state)
+        return Reservoirs(
+            jnp.zeros((self.num_reservoirs, state.shape[0] + 2), state.dtype),
+            jnp.zeros(observation.shape, observation.dtype),
+            jnp.zeros((), state.dtype),
+        )
+
+    @override
+    def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.asarray(jnp.inf, visits.dtype)
+
+    @override
+    def follow(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+        branch: Int[Array, ""],
+        is_followed: Bool[Array, ""],
+    ) -> tuple[Reservoirs, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+        key_step, key_places, key_draw = jax.random.split(key, 3)
+        own = jax.tree.map(lambda leaf: row(leaf, branch), tree.beliefs)
+        next_state, reward, ended = problem.step(key_step, state, action)
+        log_weight = _log_weight(problem, own.observation, state, action, next_state)
+        total = jnp.logaddexp(own.log_weight, log_weight)
+        probability = jnp.where(log_weight > -jnp.inf, jnp.exp(log_weight - total), 0.0)
+
+        is_placed = jax.random.uniform(key_places, (self.num_reservoirs,), state.dtype) < probability
+        steps = jnp.where(is_placed[:, None], _packed(next_state, reward, ended)[None], own.steps)
+        drawn = row(steps, random_index(key_draw, jnp.asarray(self.num_reservoirs, jnp.int32)))
+
+        index = jnp.where(is_followed, branch, tree.beliefs.log_weight.shape[0])
+        written = [(tree.beliefs.steps, steps), (tree.beliefs.log_weight, total)]
+        beliefs = eqx.tree_at(
+            lambda beliefs: (beliefs.steps, beliefs.log_weight),
+            tree.beliefs,
+            tuple(all.at[index].set(own, mode="drop") for all, own in written),
+        )
+        return beliefs, drawn[:-2], drawn[-2], drawn[-1] > 0.0
+
+    @override
+    def expand(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        node: Int[Array, ""],
+        action: Float[Array, "K"],
+    ) -> Expansion:
+        key_step, key_observation = jax.random.split(key)
+        next_state, reward, ended = problem.step(key_step, state, action)
+        observation = problem.observe(key_observation, state, action, next_state)
+        step = _packed(next_state, reward, ended)
+        belief = Reservoirs(
+            jnp.broadcast_to(step[None], (self.num_reservoirs, *step.shape)),
+            observation,
+            _log_weight(problem, observation, state, action, next_state),
+        )
+        # A terminal state ends this simulation, not the branch: others may pass with a state that goes on.
+        return Expansion(belief, reward, ended, next_state[None], ~ended[None])
+
+
+def _packed(state: Float[Array, "D"], reward: Float[Array, ""], ended: Bool[Array, ""]) -> Float[Array, "S"]:
+    """A step in one array, which is read and written at once."""
+    return jnp.concatenate([state, reward[None], ended[None].astype(state.dtype)])
+
+
+def _log_weight(
+    problem: StateProblem,
+    observation: Float[Array, "O"],
+    state: Float[Array, "D"],
+    action: Float[Array, "K"],
+    next_state: Float[Array, "D"],
+) -> Float[Array, ""]:
+    log_weight = problem.log_likelihood(observation, state, action, next_state)
+    return jnp.where(jnp.isnan(log_weight), -jnp.inf, log_weight)

@@ -1,0 +1,92 @@
+"""How a belief search proposes a new action of a belief node."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
+
+from bojax.planning.belief_tree import BeliefTree, row
+from bojax.problems.actions import ActionSpace
+
+
+class Proposal(eqx.Module):
+    """A rule that proposes the parameters of a new action."""
+
+    @abc.abstractmethod
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        space: ActionSpace,
+        tree: BeliefTree,
+        node: Int[Array, ""],
+        totals: Float[Array, "A 2"],
+    ) -> Float[Array, "P"]:
+        """Parameters of a new action of `node`, whose actions have the visits and returns `totals`."""
+
+
+class RandomProposal(Proposal):
+    """A random action of the space."""
+
+    @override
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        space: ActionSpace,
+        tree: BeliefTree,
+        node: Int[Array, ""],
+        totals: Float[Array, "A 2"],
+    ) -> Float[Array, "P"]:
+        return space.sample(key)
+
+
+class VoronoiProposal(Proposal):
+    """Voronoi progressive widening: a random action, or one near the best action so far.
+
+    Lim, Tomlin and Sunberg, Voronoi progressive widening (CDC 2021), Algorithm 1. Candidates are drawn from a
+    Gaussian about the action of the highest mean return. The first that is accepted lies in the Voronoi cell
+    of that action, or within `radius` of it; if none is, the candidate that is closest to it is proposed.
+
+    Deviation: distances are those of parameters, and candidates are clipped to [-1, 1].
+
+    Attributes:
+        probability: Probability of a random action.
+        variance: Variance of the Gaussian, for each parameter.
+        radius: Distance within which a candidate is accepted at once.
+        max_candidates: Number of candidates.
+    """
+
+    probability: Float[Array, ""]
+    variance: Float[Array, "P"]
+    radius: Float[Array, ""]
+    max_candidates: int = eqx.field(static=True)
+
+    @override
+    def __call__(
+        self,
+        key: Key[Array, ""],
+        space: ActionSpace,
+        tree: BeliefTree,
+        node: Int[Array, ""],
+        totals: Float[Array, "A 2"],
+    ) -> Float[Array, "P"]:
+        key_choice, key_random, key_candidates = jax.random.split(key, 3)
+        actions = row(tree.parameters, row(tree.children, node))
+        visits, returns = totals[:, 0], totals[:, 1]
+        exists = visits > 0.0
+        best = jnp.argmax(jnp.where(exists, returns / jnp.maximum(visits, 1.0), -jnp.inf))
+
+        shape = self.max_candidates, actions.shape[1]
+        offsets = jax.random.normal(key_candidates, shape, actions.dtype) * jnp.sqrt(self.variance)[None]
+        candidates = jnp.clip(actions[best][None] + offsets, -1.0, 1.0)
+        squares = jnp.sum((candidates[:, None] - actions[None]) ** 2, axis=-1)
+        of_best = squares[:, best]
+        is_in_cell = of_best <= jnp.min(jnp.where(exists[None], squares, jnp.inf), axis=1)
+        is_accepted = is_in_cell | (of_best < self.radius**2)
+        chosen = jnp.where(jnp.any(is_accepted), jnp.argmax(is_accepted), jnp.argmin(of_best))
+
+        is_random = jax.random.uniform(key_choice, (), actions.dtype) <= self.probability
+        is_random |= jnp.sum(exists) <= 1
+        return jnp.where(is_random, space.sample(key_random), candidates[chosen])

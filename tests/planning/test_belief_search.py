@@ -1,0 +1,209 @@
+"""Belief searches: the same tree as a NumPy reference, and what holds for every tree."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from bojax.numerics.lanes import LANES
+from bojax.planning.belief_tree import Widening, capacity
+from bojax.planning.leaf_values import Rollout
+from bojax.planning.proposals import VoronoiProposal
+from bojax.planning.tree import ROOT
+from bojax.problems.actions import Balls, Box, Discrete, Mixed
+from bojax.problems.particles import Particles, initial
+from tests.planning.belief_searches import SETTINGS, Draws, drift, number, planner
+from tests.reference import belief_search as reference
+
+KEY = 5  # of a search
+
+
+def belief_of(problem, num=50, seed=1):
+    return initial(problem, jax.random.key(seed), num)
+
+
+def search(planner, problem, belief, seed=KEY):
+    return eqx.filter_jit(planner.search)(jax.random.key(seed), problem, belief)
+
+
+def compare(tree, node, expected):
+    """The subtree of `node` against the reference's; returns the number of belief nodes."""
+    visits, totals = np.asarray(tree.totals[node]).T
+    actions = expected.actions + [reference.Action()] * (len(visits) - len(expected.actions))
+    np.testing.assert_array_equal(visits, [action.visits for action in actions])
+    np.testing.assert_allclose(totals, [action.total for action in actions], rtol=1e-9, atol=1e-12)
+    count = 1
+    for slot, action in enumerate(actions):
+        if action.visits:
+            index = int(tree.children[node, slot])
+            np.testing.assert_allclose(tree.parameters[index], action.parameters, rtol=1e-12)
+            for branch, child in enumerate(action.branches):
+                count += compare(tree, int(tree.branches[index, branch]), child)
+    return count
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+@pytest.mark.parametrize("sensor_noise", [0.5, 0.0], ids=["noise", "no-weights"])
+@pytest.mark.parametrize("name", ["pft", "pomcpow"])
+def test_the_tree_is_that_of_the_reference(name, sensor_noise, discrete):
+    if sensor_noise == 0.0 and name == "pomcpow":
+        pytest.skip("the reference adds weights, not their logarithms")
+    problem, iterations = drift(sensor_noise, discrete=discrete), 150
+    belief, search_planner = belief_of(problem), planner(name, iterations, max_branches=6)
+    tree = search(search_planner, problem, belief)
+
+    draws = Draws(jax.random.key(KEY), problem, belief, search_planner)
+    settings = SETTINGS | {"discount": 0.9, "num_actions": 3 if discrete else None, "max_branches": 6}
+    if name == "pft":
+        root = search_planner.root(draws.root_key, problem, belief)
+        content = np.asarray(root.states), np.asarray(root.alive)
+        expected = reference.PFT(draws, **settings).search(content, iterations)
+    else:
+        expected = reference.POMCPOW(draws, **settings).search(None, iterations)
+    assert compare(tree, ROOT, expected) > 60
+    best = int(jnp.argmax(tree.mean_returns(jnp.asarray(ROOT))))
+    visited = [action for action in expected.actions if action.visits]
+    assert expected.actions[best] is max(visited, key=lambda action: action.mean)
+
+
+@pytest.mark.parametrize(
+    "k, alpha", [(1.0, 0.5), (3.0, 0.3), (20.0, 0.04), (2.5, 0.01), (4.0, 0.0), (1.0, 1.0)]
+)
+def test_thresholds_are_the_rule_of_widening(k, alpha):
+    thresholds = np.asarray(Widening(number(k), number(alpha)).thresholds(60))
+    children = 0
+    for visits in range(50):
+        if children <= k * visits**alpha and (visits or not children):
+            children += 1
+        assert np.sum(thresholds <= visits) == children
+    assert children == capacity(k, alpha, 50)
+
+
+@pytest.mark.parametrize("name", ["pft", "pomcpow"])
+def test_visits_add_up_and_widening_is_bounded(name):
+    problem, iterations = drift(), 300
+    tree = search(planner(name, iterations), problem, belief_of(problem))
+    visits = np.asarray(tree.totals[..., 0])
+    assert visits[ROOT].sum() == iterations
+    seen = {ROOT}
+    for node in range(iterations + 1):
+        actions = np.flatnonzero(visits[node])
+        if node not in seen:  # nodes have higher indices than their parents
+            assert not len(actions)
+            continue
+        at_node = visits[node].sum()
+        assert len(actions) <= max(1, SETTINGS["widening"][0] * at_node ** SETTINGS["widening"][1] + 1)
+        for slot in actions:
+            k, alpha = SETTINGS["observation_widening"]
+            num_branches = capacity(k, alpha, int(visits[node, slot]))
+            branches = np.asarray(tree.branches[tree.children[node, slot]])
+            added = branches[:num_branches]
+            assert np.all(added > node) and not seen & set(added)
+            assert np.all(branches[num_branches:] == 0)
+            seen |= set(added)
+            # The other visits went on to a branch, and on from there unless the simulation ended.
+            assert visits[added].sum() <= visits[node, slot] - num_branches
+    assert len(seen) > 100
+
+
+def test_capacities_stop_widening():
+    problem = drift()
+    tree = search(planner("pft", 200, max_actions=2, max_branches=1), problem, belief_of(problem))
+    visits = np.asarray(tree.totals[..., 0])
+    assert visits.shape == (201, 2) and visits[ROOT].sum() == 200
+    assert tree.branches.shape == (200, 1)
+
+
+@pytest.mark.parametrize("published", [False, True])
+@pytest.mark.parametrize("name", ["pft", "pomcpow"])
+def test_beliefs_without_weights_or_living_states_give_no_nan(name, published):
+    if name == "pomcpow" and published:
+        pytest.skip("POMCPOW has one treatment of termination")
+    for sensor_noise, end in [(0.0, 2.0), (1e-200, 2.0), (0.5, 0.0), (0.0, 0.0)]:
+        problem = drift(sensor_noise, end)
+        belief = belief_of(problem)
+        ended = Particles(belief.states, belief.log_weights, jnp.ones_like(belief.terminal))
+        weightless = Particles(belief.states, jnp.full_like(belief.log_weights, -jnp.inf), belief.terminal)
+        for each in (belief, ended, weightless):
+            tree = search(planner(name, 60, published=published), problem, each)
+            assert np.all(np.isfinite(tree.totals))
+            assert tree.totals[ROOT, :, 0].sum() == 60
+
+
+@pytest.mark.parametrize("name", ["pft", "pomcpow"])
+def test_a_lane_of_a_batch_is_a_search_of_its_own(name):
+    problem = drift()
+    keys = jax.random.split(jax.random.key(2), 3)
+    beliefs = [belief_of(problem, seed=seed) for seed in range(3)]
+    together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)
+    one = planner(name, 80)
+    in_batch = jax.vmap(lambda key, belief: one.search(key, problem, belief), axis_name=LANES)
+    batch = eqx.filter_jit(in_batch)(jnp.copy(keys), together)
+    for lane, belief in enumerate(beliefs):
+        tree = eqx.filter_jit(one.search)(keys[lane], problem, belief)
+        np.testing.assert_array_equal(batch.totals[lane, ..., 0], tree.totals[..., 0])
+        np.testing.assert_allclose(batch.totals[lane, ..., 1], tree.totals[..., 1], rtol=1e-9, atol=1e-9)
+
+
+def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
+    problem = drift()
+    tree = search(planner("pft", 200), problem, belief_of(problem))
+    sd, num_candidates, num = np.sqrt(0.3), 4, 2000
+    proposal = VoronoiProposal(number(0.0), number([sd**2]), number(0.0), num_candidates)
+
+    @eqx.filter_jit
+    def propose(proposal):
+        keys = jax.random.split(jax.random.key(3), num)
+        root = jnp.asarray(ROOT, jnp.int32)
+        of_key = lambda key: proposal(key, problem.actions, tree, root, tree.totals[ROOT])  # noqa: E731
+        return jax.vmap(of_key)(keys)[:, 0]
+
+    proposed = np.asarray(propose(proposal))
+    means = np.asarray(tree.mean_returns(jnp.asarray(ROOT, jnp.int32)))
+    actions = np.asarray(tree.parameters[tree.children[ROOT], 0])[np.isfinite(means)]
+    best = actions[np.argmax(means)]
+    nearest = actions[np.argmin(np.abs(proposed[:, None] - actions), axis=1)]
+    # The cell of an action ends half way to its neighbours, or with the space.
+    ordered = np.concatenate([[-np.inf], np.sort(actions), [np.inf]])
+    at = np.flatnonzero(ordered == best)[0]
+    ends = (ordered[at - 1] + best) / 2, (best + ordered[at + 1]) / 2
+    in_cell = norm.cdf(ends[1], best, sd) - norm.cdf(ends[0], best, sd)
+    expected = 1 - (1 - in_cell) ** num_candidates
+    assert abs(np.mean(nearest == best) - expected) < 4 * np.sqrt(expected * (1 - expected) / num)
+    always_random = eqx.tree_at(lambda proposal: proposal.probability, proposal, number(1.0))
+    uniform = np.asarray(propose(always_random))
+    assert np.abs(np.mean(uniform)) < 4 / np.sqrt(3 * num)
+    assert abs(np.mean(np.abs(uniform) < 0.5) - 0.5) < 4 * 0.5 / np.sqrt(num)
+
+
+def test_actions_of_a_policy_are_encoded_as_parameters():
+    unit, values = jnp.ones(2), jnp.asarray([[0.5], [2.0], [-1.0]])
+    box = Box(-2.0 * unit, 3.0 * unit)
+    spaces = [box, Discrete(values), Mixed(box, jnp.asarray([0.0, 1.0, 5.0])), Balls(number(1.5), 2, 2)]
+    for space in spaces:
+        for seed in range(10):
+            action = space.decode(space.sample(jax.random.key(seed)))
+            np.testing.assert_allclose(space.decode(space.encode(action)), action, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["pft", "pomcpow"])
+def test_the_first_action_of_the_root_is_that_of_the_policy(name):
+    problem = drift()
+    policy = lambda problem, key, belief: jnp.full((1,), 0.125)  # noqa: E731
+    tree = search(planner(name, 20, first_action=policy), problem, belief_of(problem))
+    totals, actions = np.asarray(tree.totals), np.asarray(tree.parameters)[tree.children][..., 0]
+    is_policys = (actions == 0.125) & (totals[..., 0] > 0.0)
+    assert is_policys[ROOT, 0] and np.sum(is_policys) == 1
+
+
+def test_rollouts_follow_their_policy_to_the_horizon_and_no_further():
+    problem = eqx.tree_at(lambda problem: problem.end, drift(), number(1e9))
+    still = Rollout(lambda problem, key, belief: -belief.states[0], num_rollouts=400)
+    states, alive = jnp.asarray([[1.0], [1.0]]), jnp.asarray([True, True])
+    for remaining in (0, 1, 3):
+        value = eqx.filter_jit(still)(jax.random.key(0), problem, states, alive, jnp.asarray(remaining))
+        # Every step ends at noise of variance 0.09, whose square is the loss.
+        expected = -0.09 * sum(0.9**step for step in range(remaining))
+        assert abs(float(value) - expected) <= 5 * 0.09 * np.sqrt(2 * remaining / 400)

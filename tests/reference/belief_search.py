@@ -1,0 +1,176 @@
+"""PFT-DPW and POMCPOW as in Algorithms 1 to 3 of Sunberg and Kochenderfer (ICAPS 2018), recursive.
+
+`draws` gives the random numbers and the simulated steps of an iteration, so that another program can use the
+same. As in bojax: PFT ends branches with the observed termination; POMCPOW's branches keep reservoirs.
+"""
+
+import math
+
+import numpy as np
+
+
+class Belief:
+    """A belief node; `content` is a particle set, or what POMCPOW keeps of a branch."""
+
+    def __init__(self, content, reward=0.0, is_terminal=False):
+        self.content = content
+        self.reward = reward
+        self.is_terminal = is_terminal
+        self.actions = []
+
+    @property
+    def visits(self):
+        return sum(action.visits for action in self.actions)
+
+
+class Action:
+    """An action node."""
+
+    def __init__(self):
+        self.parameters = None  # proposed at the first visit
+        self.branches = []
+        self.visits = 0
+        self.total = 0.0
+
+    @property
+    def mean(self):
+        return self.total / self.visits
+
+
+class Search:
+    """What both planners share.
+
+    Args:
+        draws: Random numbers, and the problem's steps.
+        exploration: The factor c.
+        widening: k and alpha of the actions; None if all `num_actions` exist at once.
+        observation_widening: k and alpha of the branches.
+        depth: Actions to the horizon.
+        discount: Discount an action.
+        num_actions: Number of actions if they are finite.
+        max_branches: Most branches of an action.
+    """
+
+    def __init__(
+        self, draws, exploration, widening, observation_widening, depth, discount, num_actions, max_branches
+    ):
+        self.draws = draws
+        self.exploration = exploration
+        self.widening = widening
+        self.observation_widening = observation_widening
+        self.depth = depth
+        self.discount = discount
+        self.num_actions = num_actions
+        self.max_branches = max_branches
+
+    def search(self, content, iterations):
+        root = Belief(content)
+        for i in range(iterations):
+            self.draws.begin(i)
+            self.simulate(root, self.draws.state(), 0, root)
+        return root
+
+    def simulate(self, b, state, level, root):
+        if level == self.depth:
+            return 0.0
+        a = self.action_prog_widen(b)
+        is_new = a.visits == 0
+        k, alpha = self.observation_widening
+        if len(a.branches) <= k * a.visits**alpha and len(a.branches) < self.max_branches:
+            if is_new:
+                a.parameters = self.propose(b, a)
+            child, alive = self.new_branch(b, state, self.draws.decode(a.parameters), is_root=b is root)
+            a.branches.append(child)
+            total = child.reward
+            if not child.is_terminal and level + 1 < self.depth:
+                total += self.discount * self.draws.leaf_value(*alive, self.depth - 1 - level)
+        else:
+            child = a.branches[self.draws.branch(level, len(a.branches))]
+            action = self.draws.decode(a.parameters)
+            state, reward, is_terminal = self.old_branch(child, state, action, level)
+            total = reward
+            if not is_terminal:
+                total += self.discount * self.simulate(child, state, level + 1, root)
+        a.visits += 1
+        a.total += total
+        return total
+
+    def action_prog_widen(self, b):
+        if self.num_actions is not None:
+            if not b.actions:
+                b.actions = [Action() for _ in range(self.num_actions)]
+        elif len(b.actions) <= self.widening[0] * b.visits ** self.widening[1]:
+            b.actions.append(Action())
+        return max(b.actions, key=lambda a: self.score(b, a))
+
+    def score(self, b, a):
+        if a.visits == 0:
+            return self.score_unvisited(b)
+        return a.mean + self.exploration * math.sqrt(math.log(b.visits) / a.visits)
+
+    def propose(self, b, a):
+        if self.num_actions is not None:
+            return np.array([b.actions.index(a)])
+        return self.draws.action()
+
+
+class PFT(Search):
+    """Belief nodes are pairs of states and whether each is alive."""
+
+    def score_unvisited(self, b):
+        return 0.0 if b.visits <= 1 else math.inf
+
+    def new_branch(self, b, state, action, is_root):
+        states, alive = b.content
+        if not is_root:
+            state = states[self.draws.particle(alive)]
+        observation, ended = self.draws.observation(state, action)
+        moved, rewards, terminated, likelihoods = self.draws.move(states, action, observation)
+        weights = np.where(alive, likelihoods, 0.0)
+        if weights.sum() == 0.0:
+            weights = alive.astype(float)
+        reward = weights @ rewards / weights.sum()
+        left = alive & ~terminated
+        weights = np.where(left, likelihoods, 0.0)
+        if weights.sum() == 0.0:
+            weights = left.astype(float)
+        if weights.sum() == 0.0:
+            return Belief((moved, left), reward, True), (moved, left)
+        indices = self.resample(weights)
+        after = moved[indices], left[indices]
+        return Belief(after, reward, ended), after
+
+    def resample(self, weights):
+        """Low-variance resampling."""
+        ends = np.cumsum(weights / weights.sum())
+        points = (np.arange(len(weights)) + self.draws.resampling()) / len(weights)
+        return np.searchsorted(ends, points, side="right")
+
+    def old_branch(self, child, state, action, level):
+        return state, child.reward, child.is_terminal
+
+
+class POMCPOW(Search):
+    """Belief nodes are the observation, the sum of weights, and reservoirs of (state, reward, terminal)."""
+
+    num_reservoirs = 4
+
+    def score_unvisited(self, b):
+        return math.inf
+
+    def new_branch(self, b, state, action, is_root):
+        next_state, reward, ended, observation, likelihood = self.draws.new_step(state, action)
+        content = observation, likelihood, [(next_state, reward, ended)] * self.num_reservoirs
+        alive = next_state[None], np.array([not ended])
+        return Belief(content, reward, ended), alive
+
+    def old_branch(self, child, state, action, level):
+        observation, total, steps = child.content
+        *step, likelihood = self.draws.next_step(level, state, action, observation)
+        total += likelihood
+        uniform, place = self.draws.places(level, self.num_reservoirs)
+        steps = [
+            tuple(step) if u * total < likelihood else old for u, old in zip(uniform, steps, strict=True)
+        ]
+        child.content = observation, total, steps
+        return steps[place]
