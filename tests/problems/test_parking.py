@@ -74,6 +74,15 @@ def test_outcomes_are_those_of_the_reward_written_pose_by_pose(choices):
     assert min(reached[name] for name in ("off axis", "off heading", "on axis", "exit", "parked")) >= 5
 
 
+def test_problems_that_differ_in_the_rule_share_a_program():
+    shapes = {jax.tree.structure(parking(rule=rule)) for rule in RULES}
+    assert len(shapes) == 1
+    poses = ([-0.05, 0.0, 0.0], [0.0, 0.05, 0.0])  # on the axis of the spot, and beside it
+    parked = {rule: [outcome(pose, rule=rule).success for pose in poses] for rule in RULES}
+    assert parked["printed"] == parked["anywhere"] == [True, False]
+    assert parked["bearing-dropped"] == parked["anywhere-bearing-dropped"] == [True, True]
+
+
 def test_the_three_levels_of_the_reward():
     off_axis, off_heading, on_axis = (
         outcome(pose).reward for pose in ([2.0, 2.0, 0.0], [2.0, 0.0, pi / 4], [2.0, 0.0, 0.0])
