@@ -19,3 +19,13 @@ def test_what_is_counted_has_a_page_of_the_thesis_and_a_printed_counterpart():
         if claim.entry_class == "claim":
             assert re.search(r"p\. \d+", claim.source), claim.id
             assert "published code" not in claim.source, claim.id
+
+
+def test_margins_and_factors_are_said_to_be_ours():
+    """The thesis prints no margin and no factor, and no tolerance of a share."""
+    for claim in CLAIMS:
+        test = claim.test
+        if getattr(test, "margin", None) or getattr(test, "factor", None):
+            assert claim.own_bound, claim.id
+        if test.kind == "agrees" and test.share is not None:
+            assert claim.own_bound, claim.id
