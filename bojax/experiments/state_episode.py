@@ -51,8 +51,8 @@ def episode(
             now.step + 1,
             state,
             belief,
-            now.discounted_return + problem.discount**now.step * reward,
-            now.collapsed + (has_collapsed & ~terminated),
+            now.discounted_return + problem.discount ** now.step.astype(reward.dtype) * reward,
+            now.collapsed + (has_collapsed & ~terminated).astype(jnp.int32),
             terminated | (now.step + 1 >= problem.max_steps),
         )
 

@@ -3,31 +3,15 @@
 Sources: Sunberg and Kochenderfer (ICAPS 2018), with its code; QMDP: Littman, Cassandra, Kaelbling (1995).
 """
 
-from typing import Protocol
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from bojax.problems.actions import Discrete
 from bojax.problems.particles import Particles
 from bojax.problems.pomdp.light_dark import LightDark
 from bojax.problems.pomdp.pomdp_lander import PomdpLander
 from bojax.problems.pomdp.sub_hunt import PING, SubHunt
 from bojax.problems.pomdp.vdp_tag import VdpTag
-
-
-class Solved(Protocol):
-    """A problem with a list of actions and their values with states observed."""
-
-    @property
-    def actions(self) -> Discrete:
-        """The actions."""
-        ...
-
-    def values_at(self, state: Float[Array, "D"]) -> Float[Array, "A"]:
-        """Optimal value of each action in a state."""
-        ...
 
 
 def to_next_ml(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Float[Array, "2"]:
@@ -57,7 +41,7 @@ def _towards_next(problem: VdpTag, state: Float[Array, "4"], look: Float[Array, 
     return jnp.stack([jnp.where(angle < 0.0, angle + 2.0 * jnp.pi, angle), look])
 
 
-def qmdp(problem: Solved, key: Key[Array, ""], belief: Particles) -> Float[Array, "1"]:
+def qmdp(problem: LightDark | SubHunt, key: Key[Array, ""], belief: Particles) -> Float[Array, "1"]:
     """Take the action with the best mean value, as if the state were observed from the next step on."""
     values = jnp.exp(belief.log_weights) @ jax.vmap(problem.values_at)(belief.states)
     return problem.actions.values[jnp.argmax(values)]

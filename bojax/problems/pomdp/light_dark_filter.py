@@ -33,7 +33,7 @@ def update(
     ratio = jnp.exp(largest - norm.logpdf(0.0, 0.0, noise[0]))
     count = after.states.shape[0]
     num_replaced = jnp.floor(max_fraction * jnp.maximum(0.0, 1.0 - ratio) * count)
-    chosen = jax.random.permutation(choice_key, count) < num_replaced
+    chosen = jax.random.permutation(choice_key, jnp.arange(count, dtype=noise.dtype)) < num_replaced
     drawn = 2.0 * observation[None] + noise[None] * jax.random.normal(noise_key, (count, 1), noise.dtype)
     replaced = jnp.clip(jnp.round(drawn), -problem.radius, problem.radius)
     states = jnp.where((chosen & ~collapsed)[:, None], replaced, after.states)

@@ -1,0 +1,216 @@
+"""Beliefs of particles against Kalman's and Bayes's, resampling against plain Python, and collapses."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Float
+from typing_extensions import override
+
+from bojax.config.catalog import kinds
+from bojax.engine.build import build
+from bojax.problems import kalman, particles
+from bojax.problems.actions import Box
+from bojax.problems.particles import Particles, systematic
+from bojax.problems.state_space import StateProblem
+from tests.reference import state_problems as reference
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("num", [None, 7, 100])
+def test_systematic_resampling(num, dtype):
+    rng = np.random.default_rng(0)
+    resample = jax.jit(lambda key, log_weights: systematic(key, log_weights, num))
+    for trial in range(40):
+        weights = rng.exponential(size=20) * (rng.uniform(size=20) < (0.3 if trial % 2 else 0.9))
+        weights[rng.integers(20)] = 1.0
+        with np.errstate(divide="ignore"):
+            log_weights = jnp.asarray(np.log(weights) - 700.0 * (trial % 3), dtype)
+        indices = np.asarray(resample(jax.random.key(trial), log_weights))
+        offset = float(jax.random.uniform(jax.random.key(trial), (), dtype))
+        assert list(indices) == reference.systematic(weights, offset, num or 20)
+
+
+def test_a_particle_without_weight_is_never_drawn():
+    rng = np.random.default_rng(1)
+    draw = jax.jit(jax.vmap(systematic))
+    for count in (10_000, 9_999):
+        alive = rng.uniform(size=count) < 0.4
+        log_weights = jnp.asarray(np.where(alive, rng.normal(size=count), -np.inf), jnp.float32)
+        indices = np.asarray(draw(jax.random.split(jax.random.key(2), 50), jnp.stack([log_weights] * 50)))
+        assert np.all(alive[indices])
+        # As often as expected, to within one.
+        weights = np.where(alive, np.exp(np.asarray(log_weights, float)), 0.0)
+        expected = count * weights / weights.sum()
+        counts = np.array([np.bincount(row, minlength=count) for row in indices])
+        assert np.all(np.abs(counts - expected) < 1.02)
+
+
+def test_moments_are_weighted():
+    rng = np.random.default_rng(3)
+    states, weights = rng.normal(size=(50, 3)), rng.dirichlet(np.ones(50))
+    belief = Particles(jnp.asarray(states), jnp.log(jnp.asarray(weights)), jnp.zeros(50, bool))
+    covariance = np.cov(states.T, aweights=weights, ddof=0)
+    np.testing.assert_allclose(belief.mean, weights @ states)
+    np.testing.assert_allclose(belief.covariance, covariance)
+    np.testing.assert_allclose(belief.entropy, 0.5 * np.log(np.linalg.det(covariance)))
+    drawn = jax.vmap(belief.sample)(jax.random.split(jax.random.key(4), 20_000))
+    error = np.sqrt(np.diag(covariance) / 20_000)
+    assert np.all(np.abs(np.mean(drawn, axis=0) - weights @ states) < 4.0 * error)
+
+
+LQG = build(kinds("state-problem")["lqg"](max_steps=10))
+
+
+def test_kalman_conditions_the_joint_gaussian():
+    rng = np.random.default_rng(5)
+    a, b, c = rng.normal(size=(3, 3)), rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
+    q, r, p = (m @ m.T for m in (rng.normal(size=(3, 4)), rng.normal(size=(2, 3)), rng.normal(size=(3, 5))))
+    mean, action, observation = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
+    predicted, spread = a @ mean + b @ action, a @ p @ a.T + q
+    # The joint covariance of the next state and the observation.
+    joint = np.block([[spread, spread @ c.T], [c @ spread, c @ spread @ c.T + r]])
+    gain = joint[:3, 3:] @ np.linalg.inv(joint[3:, 3:])
+    model = kalman.LinearGaussian(*map(jnp.asarray, (a, b, c, q, r)))
+    start = kalman.Gaussian(jnp.asarray(mean), jnp.asarray(p))
+    found = kalman.update(model, start, jnp.asarray(action), jnp.asarray(observation))
+    np.testing.assert_allclose(found.mean, predicted + gain @ (observation - c @ predicted))
+    np.testing.assert_allclose(found.covariance, joint[:3, :3] - gain @ joint[3:, :3], atol=1e-12)
+    np.testing.assert_allclose(found.entropy, 0.5 * np.log(np.linalg.det(found.covariance)))
+
+
+def test_the_error_of_particles_falls_with_the_root_of_their_number():
+    @eqx.filter_jit
+    def errors(key, count):
+        def run(key):
+            start_key, belief_key, key = jax.random.split(key, 3)
+            action = jnp.asarray([1.0, -2.0])
+
+            def advance(carry, step):
+                state, gaussian, belief = carry
+                keys = jax.random.split(jax.random.fold_in(key, step), 3)
+                following = LQG.step(keys[0], state, action)[0]
+                observation = LQG.observe(keys[1], state, action, following)
+                gaussian = kalman.update(LQG.model, gaussian, action, observation)
+                belief, _ = particles.update(LQG, keys[2], belief, action, observation)
+                return (following, gaussian, belief), None
+
+            start = (LQG.initial(start_key), LQG.prior, particles.initial(LQG, belief_key, count))
+            _, gaussian, belief = jax.lax.scan(advance, start, jnp.arange(2, dtype=jnp.uint32))[0]
+            return belief.mean[:2] - gaussian.mean, belief.covariance[:2, :2] - gaussian.covariance
+
+        return jax.vmap(run)(jax.random.split(key, 1000))
+
+    counts = np.array([50, 200, 800])
+    found = [errors(jax.random.key(6), int(count)) for count in counts]
+    for part in (0, 1):
+        # The median: a few improbable observations, which few particles explain, dominate a mean square.
+        sizes = [np.median(np.abs(error[part])) for error in found]
+        slope = np.polyfit(np.log(counts), np.log(sizes), 1)[0]
+        assert slope == pytest.approx(-0.5, abs=0.05)
+
+
+def test_particles_follow_bayes():
+    tiger = build(kinds("state-problem")["tiger"]())
+    listen, left = jnp.zeros(1), jnp.zeros(1)
+    belief = particles.initial(tiger, jax.random.key(7), 40_000)
+    for step in range(2):
+        belief, collapsed = particles.update(tiger, jax.random.key(8 + step), belief, listen, left)
+        assert not collapsed
+        odds = (0.15 / 0.85) ** (step + 1)
+        assert belief.mean[0] == pytest.approx(odds / (1.0 + odds), abs=0.01)
+
+
+class Fading(StateProblem):
+    """A step ends the episode above 1, and adds the action; an observation of 1, 2 or 3 is odd."""
+
+    discount: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.asarray(0.5))
+    max_steps: int = eqx.field(static=True, default=5)
+
+    @property
+    @override
+    def actions(self):
+        return Box(-jnp.ones(1), jnp.ones(1))
+
+    @override
+    def initial(self, key):
+        return jax.random.uniform(key, (1,))
+
+    @override
+    def step(self, key, state, action):
+        following = state + action
+        return following, jnp.ones(()), following[0] > 1.0
+
+    @override
+    def observe(self, key, state, action, next_state):
+        return jnp.zeros(1)
+
+    @override
+    def log_likelihood(self, observation, state, action, next_state):
+        impossible = jnp.where(observation[0] == 1.0, -jnp.inf, 0.0)
+        return jnp.where(
+            observation[0] == 2.0, jnp.nan, jnp.where(observation[0] == 3.0, jnp.inf, impossible)
+        )
+
+
+FADING = Fading()
+update = jax.jit(lambda *given: particles.update(FADING, *given))
+
+
+def test_a_terminal_particle_has_no_weight():
+    start = particles.initial(FADING, jax.random.key(9), 200)
+    belief, collapsed = update(jax.random.key(10), start, jnp.full(1, 0.5), jnp.zeros(1))
+    assert not collapsed
+    assert np.all(np.asarray(belief.states) <= 1.0)
+    assert not np.any(belief.terminal)
+    survivors = np.asarray(start.states)[np.asarray(start.states) <= 0.5] + 0.5
+    assert set(np.ravel(belief.states)) <= set(survivors)
+
+
+@pytest.mark.parametrize("reading", [1.0, 2.0, 3.0])
+def test_a_belief_without_weights_collapses(reading):
+    start = particles.initial(FADING, jax.random.key(11), 200)
+    belief, collapsed = update(jax.random.key(12), start, jnp.full(1, 0.5), jnp.full(1, reading))
+    assert collapsed
+    # The particles that are not terminal, each as often as the others to within one.
+    counts = np.unique(np.asarray(belief.states), return_counts=True)
+    assert set(counts[0]) == set(np.ravel(start.states)[np.ravel(start.states) <= 0.5] + 0.5)
+    assert np.ptp(counts[1]) <= 1
+    assert_finite(belief)
+
+
+@pytest.mark.parametrize("reading", [0.0, 1.0, 2.0])
+def test_a_belief_of_terminal_particles_collapses(reading):
+    start = particles.initial(FADING, jax.random.key(13), 200)
+    belief, collapsed = update(jax.random.key(14), start, jnp.full(1, 2.0), jnp.full(1, reading))
+    assert collapsed
+    assert np.all(belief.terminal)
+    np.testing.assert_array_equal(belief.states, start.states + 2.0)
+    assert_finite(belief)
+    belief, collapsed = update(jax.random.key(15), belief, jnp.full(1, -0.5), jnp.zeros(1))
+    assert collapsed  # a terminal particle stays terminal
+    assert_finite(belief)
+
+
+def assert_finite(belief):
+    assert np.all(np.isfinite(belief.states))
+    assert np.all(np.isfinite(belief.mean))
+    assert np.all(np.isfinite(belief.covariance))
+    np.testing.assert_allclose(belief.log_weights, -np.log(len(belief.log_weights)))
+
+
+def test_one_belief_equals_its_lane_of_a_batch():
+    problem = build(kinds("state-problem")["vdp-tag"]())
+    action, observation = jnp.asarray([1.0, 1.0]), jnp.full(8, 1.5)
+
+    def run(key):
+        start_key, update_key = jax.random.split(key)
+        return particles.update(
+            problem, update_key, particles.initial(problem, start_key, 100), action, observation
+        )
+
+    batch, _ = jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(16), 6))
+    for lane in (0, 5):
+        single, _ = jax.jit(run)(jax.random.split(jax.random.key(16), 6)[lane])
+        np.testing.assert_allclose(single.states, batch.states[lane], rtol=1e-12)
