@@ -90,7 +90,7 @@ def _run(
     )
     code = run(sweeps, list(folders.values()), is_begun, command, launching=args, reports=False)
     if code not in (0, 1) or not all((each / "manifest.json").exists() for each in folders.values()):
-        return code or 1, None
+        return code, None  # also after submitting to Slurm, which does not wait
     return code, folders
 
 

@@ -57,9 +57,11 @@ def understand(words, monkeypatch, capsys, folder):
     """Up to the point where a sweep would be run; the learner that is evaluated is one of mountain car."""
     asked = []
     # First: these modules import `run`, which they would keep if they were imported after the next patch.
+    import bojax.cli.multiverse  # noqa: F401
+
     for reads_results in ("reporting", "best", "rendering", "doctor", "status", "worker"):
         monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
-    for function in ("running.run", "reproducing.run"):
+    for function in ("running.run", "reproducing.run", "multiverse.run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, **_: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
