@@ -42,12 +42,18 @@ def _counters(shape: tuple[int, ...]) -> UInt32[Array, "*S"]:
 
 def _split(key: UInt32[Array, "2"], shape: tuple[int, ...]) -> UInt32[Array, "*S 2"]:
     counters = _counters(shape)
-    return jnp.stack(_threefry(key, jnp.zeros_like(counters), counters), axis=-1)
+    return _joined(*_threefry(key, jnp.zeros_like(counters), counters))
+
+
+def _joined(x0: UInt32[Array, "*S"], x1: UInt32[Array, "*S"]) -> UInt32[Array, "*S 2"]:
+    # A choice, not `stack`: XLA does not vectorise what it fuses with a concatenation (five times slower).
+    is_first = jax.lax.broadcasted_iota(jnp.int32, (*x0.shape, 2), x0.ndim) == 0
+    return jnp.where(is_first, x0[..., None], x1[..., None])
 
 
 def _fold_in(key: UInt32[Array, "2"], data: Array) -> UInt32[Array, "2"]:
     counter = data.astype(jnp.uint32)
-    return jnp.stack(_threefry(key, jnp.zeros_like(counter), counter))
+    return _joined(*_threefry(key, jnp.zeros_like(counter), counter))
 
 
 def _random_bits(key: UInt32[Array, "2"], bit_width: int, shape: tuple[int, ...]) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
 from bojax.numerics.lanes import any_lane
@@ -102,6 +102,13 @@ class Rollout(LeafValue):
 
 def draw_alive(key: Key[Array, ""], alive: Bool[Array, "M"]) -> Int[Array, ""]:
     """Index of a uniform draw among the states that are not terminal; of the last state if all are."""
-    counts = jnp.cumsum(alive, dtype=jnp.int32)
+    counts = prefix_sums(alive.astype(jnp.int32))
     choice = random_index(key, counts[-1])
     return jnp.minimum(jnp.sum(counts <= choice, dtype=jnp.int32), alive.shape[0] - 1)
+
+
+def prefix_sums(values: Num[Array, "M"]) -> Num[Array, "M"]:
+    """`cumsum` of a few numbers, as one sum over all pairs."""
+    # XLA computes `cumsum` on a CPU by windows, whose bounds it checks at every element.
+    index = jnp.arange(values.shape[0], dtype=jnp.int32)
+    return jnp.sum(jnp.where(index[None] <= index[:, None], values[None], 0), axis=1, dtype=values.dtype)

@@ -10,7 +10,7 @@ from bojax.numerics.choices import Choice
 from bojax.numerics.lanes import any_lane
 from bojax.planning.belief_search import BeliefSearch, Expansion
 from bojax.planning.belief_tree import BeliefTree, Widening, row
-from bojax.planning.leaf_values import LeafValue, Policy, draw_alive
+from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles, systematic
@@ -79,12 +79,17 @@ class BeliefStep(eqx.Module):
             num_alive = jnp.sum(belief.alive, dtype=rewards.dtype)
             least = jnp.log(2.0) * (jnp.floor(-jnp.log2(num_alive)) - 52.0)
             log_sum = jnp.where(largest > -jnp.inf, jax.nn.logsumexp(log_weights), -jnp.inf)
-            collapsed = log_sum < least
+            collapsed = (log_sum < least) & (num_alive > 0.0)
             log_weights = jnp.where(collapsed, 0.0, log_weights)
             indices = resample(key_resample, log_weights)
-            prior = jax.vmap(problem.initial)(jax.random.split(key_prior, num))
+            # Rare, and on Light Dark as expensive as all else.
+            prior = jax.lax.cond(
+                any_lane(collapsed),
+                lambda: jax.vmap(problem.initial)(jax.random.split(key_prior, num)),
+                lambda: moved,
+            )
             states = jnp.where(collapsed, prior, moved[indices])
-            alive = collapsed | ~terminated[indices]
+            alive = collapsed | (belief.alive & ~terminated)[indices]
             reward = jnp.where(collapsed, 0.0, weighted_mean(log_weights, rewards))
             return ParticleSet(states, alive), reward, ~jnp.any(alive)
 
@@ -97,7 +102,7 @@ class BeliefStep(eqx.Module):
 def resample(key: Key[Array, ""], log_weights: Float[Array, "M"]) -> Int[Array, "M"]:
     """Systematic resampling of a few particles, by comparing all pairs."""
     num = log_weights.shape[0]
-    ends = jnp.cumsum(_weights(log_weights))
+    ends = prefix_sums(_weights(log_weights))
     points = (jnp.arange(num, dtype=ends.dtype) + jax.random.uniform(key, (), ends.dtype)) / num
     # A point that is rounded to the sum of the weights would lie behind the last particle.
     points = jnp.minimum(points, 1.0 - jnp.finfo(ends.dtype).eps) * ends[-1]
