@@ -96,8 +96,10 @@ def evaluate(results: Results) -> list[dict[str, Any]]:
 
 def cause_of(results: Results, entry: Mapping[str, Any]) -> FailureCause | None:
     """The cause of the verdict of an entry of `claims.json`; none of a reproduced claim."""
-    causes = {name: each.cause for each in results.explanations for name in each.claims}
-    rest = "untested" if "reason" in entry["test"] else "unexplained"
+    causes: dict[str, FailureCause] = {
+        name: each.cause for each in results.explanations for name in each.claims
+    }
+    rest: FailureCause = "untested" if "reason" in entry["test"] else "unexplained"
     return None if entry["verdict"] == "reproduced" else causes.get(entry["id"], rest)
 
 
