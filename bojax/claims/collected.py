@@ -11,6 +11,7 @@ from typing import Any
 
 import pydantic
 
+from bojax.claims.multiverse.outcomes import FILE as MULTIVERSE
 from bojax.config import sweep as config
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Test
@@ -45,9 +46,10 @@ def _results(folder: Path) -> list[Results]:
     """The results in a folder, or the finished ones below it, that are of sweeps of bojax."""
     below = [] if (folder / MANIFEST).exists() else sorted(folder.rglob(MANIFEST))
     finished = [path.parent for path in below if read_json(path).get("status") in ("finished", "failed")]
-    loaded = [load(each) for each in finished or [folder]]
+    is_other = not finished and any(folder.rglob(MULTIVERSE))
+    loaded = [] if is_other else [load(each) for each in finished or [folder]]
     found = [results for results in loaded if _name_of(results)]
-    if not found:
+    if not found and not any(folder.rglob(MULTIVERSE)):
         others = listed("", {results.manifest.name for results in loaded})
         raise ResultsError(f"{folder}: got results of {others}; allowed: those of sweeps of bojax")
     return found

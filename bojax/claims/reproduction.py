@@ -3,13 +3,15 @@
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from bojax.claims.collected import collected
+from bojax.claims.multiverse.outcomes import Multiverse, found_below, with_shares
+from bojax.claims.multiverse.page import write_page
 from bojax.report.explanations import AtHand, Explained, causes_of, explanations_of
 from bojax.report.manifest import Manifest
 from bojax.report.source import load
@@ -217,13 +219,17 @@ def joined_reproduction(
 
     The claims and tests are taken from this version, see `bojax.claims.collected`. Sweeps may have been made
     by different commands, revisions, devices and versions: the page says which command made each sweep.
-    Results of other sweeps of bojax are quoted by explanations.
+    Results of other sweeps of bojax are quoted by explanations. Multiverse analyses in the folders give the
+    share of configurations in which each claim holds, and have pages of their own.
 
     Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,
     `counted_in`, have a sentence `_SENTENCE`, whose numbers are updated.
     """
+    multiverses = found_below(folders)
     found = collected(folders)
     at_hand = {each.results.manifest.name: each for each, _ in found}
+    for name, each in at_hand.items():
+        at_hand[name] = replace(each, claims=with_shares(each.claims, name, multiverses))
     sweeps = [Sweep.of(each, at_hand, pages[0].parent) for name, each in at_hand.items() if name in names]
     if not sweeps:
         raise ResultsError(f"got results of {joined(at_hand)}; allowed: also those of a sweep of the thesis")
@@ -237,7 +243,7 @@ def joined_reproduction(
     if kept:
         whose += f", {sum(kept.values())} as in their reports, for want of tables ({joined(kept)})"
     others = {page: _recounted(page, entries) for page in counted_in}
-    _write(pages, sweeps, gaps, [("verdicts", whose)])
+    _write(pages, sweeps, gaps, [("verdicts", whose)], multiverses)
     for page, text in others.items():
         write_content(page, text)
     return entries
@@ -267,10 +273,12 @@ def _write(
     sweeps: Sequence[Sweep],
     gaps: Sequence[tuple[str, str]],
     provenance: Sequence[tuple[str, str]],
+    multiverses: Sequence[Multiverse] = (),
 ) -> None:
     """Write pages on sweeps, each in the format of its suffix, with what else is known of the provenance.
 
-    The pages of the chapters are in a folder that has the name of the page without its suffix.
+    The pages of the chapters and of the multiverses are in a folder that has the name of the page without its
+    suffix.
     """
     for sweep in sweeps:
         if sweep.manifest.status == "failed":
@@ -294,6 +302,7 @@ def _write(
         "counts": tally(row.claim for row in rows),
         "gaps": gaps,
         "chapters": chapters,
+        "multiverses": multiverses,
         "changes": _changes(manifests),
         "sweeps": sweeps,
         "origins": origins,
@@ -320,6 +329,8 @@ def _write(
         for path, text in texts.items():
             make_folder(path.parent)
             write_content(path, text)
+        for each in multiverses:
+            write_page(each, folder / f"multiverse-{each.name}{suffix}")
 
 
 def _summary(sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]]) -> str:

@@ -64,7 +64,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     if missing := len(multiverse.configurations) - len(multiverse.done):
         _say(f"{missing} of {len(multiverse.configurations)} configurations are left: --resume --out {out}")
     print(out / FILE)
-    print(write_page(multiverse, declaration.file.title, declaration.file.reading.strip(), out / PAGE))
+    print(write_page(multiverse, out / PAGE))
     return 0
 
 

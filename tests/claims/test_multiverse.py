@@ -16,6 +16,7 @@ from bojax.config.errors import ConfigError
 from bojax.report import statistics
 from bojax.results.store import ResultsError
 from tests.compiling import IS_CPU
+from tests.report.synthetic import edit_manifest, write_results
 
 SWEEP = """
 title: A short chain
@@ -216,9 +217,10 @@ def test_strength_and_the_effect_of_each_choice():
 def test_the_page_of_every_kind(tmp_path):
     claims = [claim("a", "rrrn"), claim("b", "nnix", entry_class="check"), claim("c", "xxxx")]
     confirmed = Confirmed(runs=20, seed=1, own={"a": "n"}, best={"a": "r"})
-    made = universe(*claims).model_copy(update={"best": 1, "confirmed": confirmed})
+    told = {"title": "A <title>", "reading": "Plausible."}
+    made = universe(*claims).model_copy(update={"best": 1, "confirmed": confirmed, **told})
     for suffix in ("html", "md"):
-        text = write_page(made, "A <title>", "Plausible.", tmp_path / f"page.{suffix}").read_text()
+        text = write_page(made, tmp_path / f"page.{suffix}").read_text()
         assert "1 of 2" in text and "Plausible." in text and "rate" in text
     assert (tmp_path / "figures" / "own-together.svg").stat().st_size > 1000
 
@@ -293,3 +295,21 @@ def test_fresh_seeds_are_judged_with_holm_s_correction(monkeypatch):
     p_values["a"] = 0.03
     assert outcomes.confirmed(None, {}, [3])[3] == {"a": "i", "b": "i", "c": "r", "d": "i"}  # type: ignore[arg-type]
     assert statistics.tail_in_use() == statistics.TAIL
+
+
+def test_the_page_of_a_reproduction_has_the_shares_of_a_multiverse(tmp_path, capsys):
+    results, found = tmp_path / "results", tmp_path / "found"
+    write_results(results / "fig-4.6", recorded=0)
+    known = {"name": "fig-4.6", "written": "2026-01-02T10:00:00+0000", "command": "bojax reproduce fig-4.6"}
+    edit_manifest(results / "fig-4.6", lambda manifest: manifest.update(known))
+    claims = [claim("fig-4.6/random-leaves", "rrin"), claim("fig-4.6/other", "nnnn")]
+    made = universe(*(each.model_copy(update={"sweep": "fig-4.6"}) for each in claims))
+    outcomes.write(found, made.model_copy(update={"title": "Parking"}))
+    page = tmp_path / "page.md"
+    assert main(["reproduce", "--page", str(results), str(found), "--out", str(page)]) == 0
+    text = page.read_text()
+    assert "[Parking](page/multiverse-own.md)" in text
+    (row,) = [line for line in text.splitlines() if "random incurs penalties" in line]
+    assert row.endswith("| 50.0% of 4 |")
+    assert "fig-4.6/other" in (tmp_path / "page" / "multiverse-own.md").read_text()
+    assert (tmp_path / "page" / "figures" / "own-shares.svg").is_file()

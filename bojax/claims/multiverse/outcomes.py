@@ -19,6 +19,7 @@ from bojax.report import statistics
 from bojax.report.findings import Verdict, evaluate
 from bojax.report.manifest import Count, Recorded, validated
 from bojax.report.source import Results, load
+from bojax.report.verdicts import TestedClaim
 from bojax.results.store import ResultsError, make_folder, read_json, write_json
 
 FILE = "multiverse.json"
@@ -72,6 +73,8 @@ class Multiverse(Recorded):
     """The outcomes of an analysis so far."""
 
     name: str
+    title: str = ""
+    reading: str = ""  # a paragraph on the best configuration
     declaration: dict[str, Any]
     configurations: list[list[int]] = []  # value of each choice, by the number of the configuration
     done: list[int] = []  # numbers of the configurations that were evaluated, in ascending order
@@ -112,6 +115,8 @@ def begin(declaration: Declaration) -> Multiverse:
     """An analysis without outcomes."""
     return Multiverse(
         name=declaration.name,
+        title=declaration.file.title,
+        reading=declaration.file.reading.strip(),
         declaration=dict(content_of(declaration)),
         configurations=[list(levels) for levels in declaration.configurations],
     )
@@ -132,10 +137,43 @@ def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
             f"{path}: was made by another version of {declaration.name}; allowed: the declaration that the "
             "analysis began with, or a new --out"
         )
+    if declaration is not None:  # texts may have been written since
+        told = {"title": declaration.file.title, "reading": declaration.file.reading.strip()}
+        found = found.model_copy(update=told)
     lengths = {len(each) for claim in found.claims for each in (claim.verdicts, claim.estimates, claim.ours)}
     if lengths - {len(found.done)}:
         raise ResultsError(f"{path}: is damaged: delete it, and run again with --resume")
     return found
+
+
+def found_below(folders: Iterable[Path]) -> list[Multiverse]:
+    """The analyses in some folders, and in those below; of several of a name, the most complete one."""
+    found: dict[str, Multiverse] = {}
+    for path in sorted(path for folder in folders for path in folder.rglob(FILE)):
+        multiverse = read(path.parent)
+        if multiverse.name not in found or len(multiverse.done) > len(found[multiverse.name].done):
+            found[multiverse.name] = multiverse
+    return list(found.values())
+
+
+def with_shares(
+    claims: Iterable[TestedClaim], sweep: str, multiverses: Iterable[Multiverse]
+) -> list[TestedClaim]:
+    """The claims of a sweep, each with the share of configurations in which it holds, where that is known."""
+    known = {
+        outcomes.id: outcomes
+        for multiverse in multiverses
+        for outcomes in multiverse.claims
+        if outcomes.sweep == sweep
+    }
+    return [
+        claim.model_copy(
+            update={"share": outcomes.share().estimate, "configurations": len(outcomes.verdicts)}
+        )
+        if (outcomes := known.get(claim.id))
+        else claim
+        for claim in claims
+    ]
 
 
 def write(folder: Path, multiverse: Multiverse) -> None:

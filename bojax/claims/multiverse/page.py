@@ -8,7 +8,6 @@ from bojax.claims.multiverse import figures
 from bojax.claims.multiverse.outcomes import CODES, FAILED, ClaimOutcomes, Multiverse, effects
 from bojax.report import style
 from bojax.report.drawing.base import Drawing
-from bojax.report.statistics import Interval
 from bojax.report.template import fill
 from bojax.report.text import counted, joined
 from bojax.results.store import make_folder, write_content
@@ -16,13 +15,11 @@ from bojax.results.store import make_folder, write_content
 _WORDS = {"r": "holds", "n": "does not hold", "i": "inconclusive", FAILED: "not tested"}
 
 
-def write_page(multiverse: Multiverse, title: str, reading: str, page: Path) -> Path:
+def write_page(multiverse: Multiverse, page: Path) -> Path:
     """Write the page, `.html` or `.md`, and its figures into the folder `figures` beside it.
 
     Args:
         multiverse: The outcomes, which may be those of some of the configurations.
-        title: Title of the page.
-        reading: A paragraph on the best configuration.
         page: The file.
     """
     with style.settings():
@@ -40,10 +37,10 @@ def write_page(multiverse: Multiverse, title: str, reading: str, page: Path) -> 
     style.write_images(page.parent, named)
     values = {
         "name": multiverse.name,
-        "title": title,
+        "title": multiverse.title,
         "summary": _summary(multiverse),
         "counts": [],
-        "reading": reading,
+        "reading": multiverse.reading,
         "drawings": drawings,
         "curves": curves,
         "claims": [_row(multiverse, claim) for claim in multiverse.counted],
@@ -167,8 +164,3 @@ def _best(multiverse: Multiverse) -> dict[str, Any] | None:
         "seed": confirmed.seed if confirmed else None,
         "differing": differing,
     }
-
-
-def share_of(multiverse: Multiverse, claim: str) -> Interval | None:
-    """The share of configurations in which a claim holds; None if it is not part of the analysis."""
-    return next((each.share() for each in multiverse.claims if each.id == claim), None)
