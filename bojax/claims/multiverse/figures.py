@@ -144,7 +144,7 @@ def effect_map(multiverse: Multiverse) -> Drawing:
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(image, ax=axes, location="top", aspect=40, shrink=0.8)
-    bar.set_label("difference between shares of configurations")
+    bar.set_label("difference of shares")
     bar.ax.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
     return Drawing(
         figure=figure,

@@ -33,8 +33,12 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
             if (drawing := figures.claim_curve(multiverse, claim)) is not None:
                 curves[f"claim-{number:03d}"] = drawing.encoded()
     make_folder(page.parent)
-    named = {f"{multiverse.name}-{name}": each.files for name, each in {**drawings, **curves}.items()}
-    style.write_images(page.parent, named)
+    kinds = ("svg",) if page.suffix == ".md" else ("svg", "png")
+    images = {
+        f"{multiverse.name}-{name}": {kind: each.files[kind] for kind in kinds}
+        for name, each in {**drawings, **curves}.items()
+    }
+    style.write_images(page.parent, images)
     values = {
         "name": multiverse.name,
         "title": multiverse.title,
