@@ -3,6 +3,7 @@
 import re
 
 from bojax.config.files import available
+from bojax.config.references import typed_numbers
 from bojax.config.sweep import load_sweep
 
 SWEEPS = [sweep for name in available("sweeps") if (sweep := load_sweep(name)).source.stem == name]
@@ -29,3 +30,10 @@ def test_margins_and_factors_are_said_to_be_ours():
             assert claim.own_bound, claim.id
         if test.kind == "agrees" and test.share is not None:
             assert claim.own_bound, claim.id
+
+
+def test_results_in_explanations_are_references():
+    """A typed number would stay as it is when the results change."""
+    for sweep in SWEEPS:
+        for each in sweep.report.get("explanations", ()):
+            assert typed_numbers(each["text"]) == [], (sweep.name, each["claims"])

@@ -65,7 +65,7 @@ def test_points_are_named_by_variant_before_label_and_by_swept_values():
 def test_typed_numbers_are_results_without_a_reference():
     text = (
         "In Fig. 4.4, Figs. 5.2 to 5.4, Table 5.1 and 5.3, Section 4.7.1, p. 97 and (4.13), {a: return} with "
-        "{setting 0.5} m against {thesis 93.5%}, 20 actions, 3 of 4 planners."
+        "{setting 0.5} m against {thesis 93.5%}, 20 actions, 3 of 4 planners, see table-5.3-hopper."
     )
     assert typed_numbers(text) == []
     text = (
