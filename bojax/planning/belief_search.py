@@ -128,6 +128,12 @@ class BeliefSearch(eqx.Module):
     ) -> Expansion:
         """A new branch of an action at the belief node `node`."""
 
+    @abc.abstractmethod
+    def states_at(
+        self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]
+    ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
+        """States to estimate a leaf value from at `node`, as in `Expansion`, where the horizon is reached."""
+
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
         """The next action for a belief."""
         tree = self.search(key, problem, belief)
@@ -181,9 +187,15 @@ class BeliefSearch(eqx.Module):
         parameters = self._propose(problem, first, tree, key_proposal, end)
         action = problem.actions.decode(parameters)
         expansion = self.expand(key_expansion, problem, tree, end.state, end.node, action)
-        remaining = jnp.where(end.is_expanded & ~expansion.is_terminal, self.depth - 1 - end.level, 0)
-        future = self.leaf_value(key_leaf, problem, expansion.states, expansion.alive, remaining)
-        gain = expansion.reward + jnp.where(remaining > 0, problem.discount * future, 0.0)
+        at_horizon = self.states_at(tree, end.state, end.node)
+        states, alive = (
+            jnp.where(end.is_expanded, new, old)
+            for new, old in zip((expansion.states, expansion.alive), at_horizon, strict=True)
+        )
+        is_over = end.is_expanded & expansion.is_terminal
+        remaining = jnp.where(end.is_expanded & ~is_over, self.depth - 1 - end.level, 0)
+        future = self.leaf_value(key_leaf, problem, states, alive, remaining)
+        gain = expansion.reward + jnp.where(is_over, 0.0, problem.discount * future)
 
         growth = Growth(
             iteration=i,
@@ -197,7 +209,7 @@ class BeliefSearch(eqx.Module):
             is_new_action=end.is_expanded & end.is_new_action,
             is_new_branch=end.is_expanded,
         )
-        totals = self._back_up(problem.discount, tree.totals, end, gain)
+        totals = self._back_up(problem.discount, tree.totals, end, gain, future)
         return eqx.tree_at(lambda tree: tree.totals, tree, totals).grown(growth)
 
     def _descend(
@@ -244,6 +256,7 @@ class BeliefSearch(eqx.Module):
                 is_new_action=jnp.where(at.is_active, visits == 0.0, at.is_new_action),
                 is_active=is_followed & ~ended & (level < self.depth),
                 is_expanded=jnp.where(at.is_active, adds, at.is_expanded),
+                is_at_horizon=at.is_at_horizon | (is_followed & ~ended & (level == self.depth)),
                 nodes=write_row(at.nodes, at.turn, jnp.where(at.is_active, at.node, nowhere)),
                 slots=write_row(at.slots, at.turn, slot),
                 rewards=write_row(at.rewards, at.turn, jnp.where(is_followed, reward, 0.0)),
@@ -261,6 +274,7 @@ class BeliefSearch(eqx.Module):
             is_new_action=no,
             is_active=~no,
             is_expanded=no,
+            is_at_horizon=no,
             nodes=jnp.full((self.depth,), nowhere, jnp.int32),
             slots=jnp.zeros((self.depth,), jnp.int32),
             rewards=jnp.zeros((self.depth,), state.dtype),
@@ -301,10 +315,13 @@ class BeliefSearch(eqx.Module):
         totals: Float[Array, "V A 2"],
         end: "_Descent",
         gain: Float[Array, ""],
+        future: Float[Array, ""],
     ) -> Float[Array, "V A 2"]:
-        """Credit every action on the way with its own reward and all later ones."""
+        """Credit every action on the way with its own reward and all later ones.
+
+        `gain` is the return of the new branch, `future` the value of a belief at the horizon.
+        """
         num_levels = largest_in_lanes(end.turn)
-        # The reward of the expansion stands for all that follows it.
         last = jnp.where(end.is_expanded, end.level, self.depth)
         one = jnp.ones((), totals.dtype)
 
@@ -316,7 +333,8 @@ class BeliefSearch(eqx.Module):
             added = jnp.stack([one, later])
             return totals.at[end.nodes[level], end.slots[level]].add(added, mode="drop"), later
 
-        later = jnp.zeros((), totals.dtype)
+        # A lane that has reached the horizon has as many levels as any.
+        later = jnp.where(end.is_at_horizon, future, 0.0)
         return jax.lax.fori_loop(0, num_levels, level_above, (totals, later))[0]
 
 
@@ -341,6 +359,7 @@ class _Descent(eqx.Module):
         is_new_action: Whether the action has no visit yet.
         is_active: Whether the descent goes on.
         is_expanded: Whether it has ended with a new branch.
+        is_at_horizon: Whether it has ended at a belief node without actions, at the horizon.
         nodes: Belief node of each level; past the end for levels that were not reached.
         slots: Position of the action chosen at each level.
         rewards: Reward of the branch followed at each level.
@@ -356,6 +375,7 @@ class _Descent(eqx.Module):
     is_new_action: Bool[Array, ""]
     is_active: Bool[Array, ""]
     is_expanded: Bool[Array, ""]
+    is_at_horizon: Bool[Array, ""]
     nodes: Int[Array, "H"]
     slots: Int[Array, "H"]
     rewards: Float[Array, "H"]

@@ -30,7 +30,10 @@ class LeafValue(eqx.Module):
         alive: Bool[Array, "M"],
         remaining: Int[Array, ""],
     ) -> Float[Array, ""]:
-        """The value if `remaining` actions are left; states that are not `alive` are terminal."""
+        """The value if `remaining` actions are left; states that are not `alive` are terminal.
+
+        At the horizon, `remaining` is 0: a rollout has no actions, the value of a state is as elsewhere.
+        """
 
 
 class StateValue(LeafValue):

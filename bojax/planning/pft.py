@@ -196,6 +196,12 @@ class PFT(BeliefSearch):
         after, reward, is_terminal = self.belief_step(key_step, problem, belief, state, action)
         return Expansion(after, reward, is_terminal, after.states, after.alive)
 
+    @override
+    def states_at(
+        self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]
+    ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
+        return row(tree.beliefs.states, node), row(tree.beliefs.alive, node)
+
 
 class BeliefRollout(LeafValue):
     """Return of one simulation of a policy in the belief MDP, to the horizon.

@@ -126,6 +126,12 @@ class POMCPOW(BeliefSearch):
         # A terminal state ends this simulation, not the branch: others may pass with a state that goes on.
         return Expansion(belief, reward, ended, next_state[None], ~ended[None])
 
+    @override
+    def states_at(
+        self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]
+    ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
+        return state[None], jnp.ones((1,), bool)
+
 
 def _packed(state: Float[Array, "D"], reward: Float[Array, ""], ended: Bool[Array, ""]) -> Float[Array, "S"]:
     """A step in one array, which is read and written at once."""

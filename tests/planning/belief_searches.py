@@ -50,6 +50,9 @@ class Drift(StateProblem):
     def log_likelihood(self, observation, state, action, next_state):
         return -0.5 * jnp.sum((observation - next_state) ** 2) / self.sensor_noise**2
 
+    def heuristic_value(self, state):
+        return -3.0 * jnp.abs(state[0])
+
 
 def drift(sensor_noise=0.5, end=2.0, discrete=False):
     space = Discrete(jnp.asarray([[-0.7], [0.0], [0.7]])) if discrete else Box(-jnp.ones(1), jnp.ones(1))

@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from bojax.numerics.lanes import LANES
 from bojax.planning.belief_tree import Widening, capacity
-from bojax.planning.leaf_values import Rollout
+from bojax.planning.leaf_values import Rollout, StateValue
 from bojax.planning.proposals import VoronoiProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Balls, Box, Discrete, Mixed
@@ -44,14 +44,20 @@ def compare(tree, node, expected):
     return count
 
 
-@pytest.mark.parametrize("discrete", [False, True])
-@pytest.mark.parametrize("sensor_noise", [0.5, 0.0], ids=["noise", "no-weights"])
-@pytest.mark.parametrize("name", ["pft", "pomcpow"])
-def test_the_tree_is_that_of_the_reference(name, sensor_noise, discrete):
-    if sensor_noise == 0.0 and name == "pomcpow":
-        pytest.skip("the reference adds weights, not their logarithms")
-    problem, iterations = drift(sensor_noise, discrete=discrete), 150
-    belief, search_planner = belief_of(problem), planner(name, iterations, max_branches=6)
+@pytest.mark.parametrize(
+    "name, changes",
+    [
+        ("pft", {}),
+        ("pft", {"discrete": True, "leaf_value": StateValue()}),
+        ("pft", {"sensor_noise": 0.0}),  # no particle has a weight
+        ("pomcpow", {}),
+        ("pomcpow", {"discrete": True, "leaf_value": StateValue()}),
+    ],
+)
+def test_the_tree_is_that_of_the_reference(name, changes):
+    discrete, iterations = changes.get("discrete", False), 150
+    problem = drift(changes.get("sensor_noise", 0.5), discrete=discrete)
+    belief, search_planner = belief_of(problem), planner(name, iterations, max_branches=6, **changes)
     tree = search(search_planner, problem, belief)
 
     draws = Draws(jax.random.key(KEY), problem, belief, search_planner)

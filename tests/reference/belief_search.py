@@ -72,7 +72,7 @@ class Search:
 
     def simulate(self, b, state, level, root):
         if level == self.depth:
-            return 0.0
+            return self.draws.leaf_value(*self.states_at(b, state), 0)
         a = self.action_prog_widen(b)
         is_new = a.visits == 0
         k, alpha = self.observation_widening
@@ -82,7 +82,7 @@ class Search:
             child, alive = self.new_branch(b, state, self.draws.decode(a.parameters), is_root=b is root)
             a.branches.append(child)
             total = child.reward
-            if not child.is_terminal and level + 1 < self.depth:
+            if not child.is_terminal:
                 total += self.discount * self.draws.leaf_value(*alive, self.depth - 1 - level)
         else:
             child = a.branches[self.draws.branch(level, len(a.branches))]
@@ -146,6 +146,9 @@ class PFT(Search):
         points = (np.arange(len(weights)) + self.draws.resampling()) / len(weights)
         return np.searchsorted(ends, points, side="right")
 
+    def states_at(self, b, state):
+        return b.content
+
     def old_branch(self, child, state, action, level):
         return state, child.reward, child.is_terminal
 
@@ -163,6 +166,9 @@ class POMCPOW(Search):
         content = observation, likelihood, [(next_state, reward, ended)] * self.num_reservoirs
         alive = next_state[None], np.array([not ended])
         return Belief(content, reward, ended), alive
+
+    def states_at(self, b, state):
+        return state[None], np.array([True])
 
     def old_branch(self, child, state, action, level):
         observation, total, steps = child.content
