@@ -127,8 +127,8 @@ class PlanningEpisode(Experiment):
 
     @override
     def advance(self, carry: PlanningState) -> tuple[PlanningState, Records]:
-        # A finished lane advances with the others, since a branch would be computed in every lane; `_where`
-        # at the end keeps its old state, and its row is not valid.
+        # A finished lane advances with the others, since a branch would be computed in every lane;
+        # `keep_finished` at the end keeps its old state, and its row is not valid.
         active = ~carry.is_done
         key = jax.random.fold_in(carry.key_planner, carry.step)
         plan = self.planner.plan(key, self.problem, carry.belief)
@@ -145,7 +145,7 @@ class PlanningEpisode(Experiment):
         # nothing to select.
         if events.failed is not None:
             reward = jnp.where(failed, jnp.nan, reward)
-            world, belief = _where(~failed, (world, belief), (carry.world, carry.belief))
+            world, belief = keep_finished(~failed, (world, belief), (carry.world, carry.belief))
 
         step = carry.step + 1
         done = events.terminated | failed | (step >= self.problem.max_steps)
@@ -180,7 +180,7 @@ class PlanningEpisode(Experiment):
             tables={"steps": {name: value[None] for name, value in row.items()}},
             active_steps=active.astype(jnp.int32),
         )
-        return _where(active, after, carry), records
+        return keep_finished(active, after, carry), records
 
     @override
     def is_done(self, carry: PlanningState) -> Bool[Array, ""]:
@@ -204,7 +204,8 @@ class PlanningEpisode(Experiment):
 T = TypeVar("T")
 
 
-def _where(active: Bool[Array, ""], after: T, before: T) -> T:
+def keep_finished(active: Bool[Array, ""], after: T, before: T) -> T:
+    """The new state where a lane is active, the old one where it has finished."""
     # Leaves that an advance does not change are not selected: a select would use a key twice.
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(active, a, b), after, before)
 

@@ -9,7 +9,8 @@ from typing_extensions import override
 from bojax.config.component import Component, External, Slot
 from bojax.learning.settings import Constant, Exploit, UntilTarget
 from bojax.motions.settings import KernelTrajectories
-from bojax.planning.settings import KCBTS
+from bojax.planning.settings import KCBTS, POMCPOW
+from bojax.problems.pomdp.settings import VdpTag
 from bojax.problems.settings import FieldProblem, Parking
 
 
@@ -105,6 +106,26 @@ class Learning(ExperimentSettings, frozen=True):
     @override
     def label(self) -> str:
         return self.learner.label
+
+
+class BeliefPlanning(ExperimentSettings, frozen=True):
+    """One episode of a planner on a state problem, with a belief of particles."""
+
+    target: ClassVar[str] = "bojax.experiments.belief_planning:BeliefEpisode"
+    kind: Literal["belief-planning"] = "belief-planning"
+    dtype: Literal["float64", "float32"] = Field(default="float32", description="floating-point precision")
+    problem: Annotated[Component, Slot("state-problem")] = Field(
+        default=VdpTag(), description="problem, given by its model for one state"
+    )
+    planner: Annotated[Component, Slot("belief-planner")] = Field(
+        default=POMCPOW(), description="planner, which knows the problem's model and the belief"
+    )
+    num_particles: int = Field(default=10_000, ge=1, description="particles of the belief between plans")
+
+    @property
+    @override
+    def label(self) -> str:
+        return self.planner.label
 
 
 class Trajectories(ExperimentSettings, frozen=True):

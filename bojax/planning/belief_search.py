@@ -23,6 +23,9 @@ from bojax.problems.actions import Discrete
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
+RECOMMENDATIONS = "value", "visits"
+"""Rules by which a search recommends an action: the highest value, or the most visits."""
+
 
 class BeliefPlan(eqx.Module):
     """The next action, and the planner's predictions for it.

@@ -11,6 +11,7 @@ from typing_extensions import override
 
 from bojax.numerics.lanes import any_lane
 from bojax.numerics.simulation_keys import random_index
+from bojax.planning.oracles import policy_named
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
@@ -61,7 +62,7 @@ class Rollout(LeafValue):
         num_rollouts: Number of simulations.
     """
 
-    policy: Policy | None = eqx.field(static=True, default=None)
+    policy: Policy | None = eqx.field(static=True, default=None, converter=policy_named)
     num_rollouts: int = eqx.field(static=True, default=1)
 
     @override

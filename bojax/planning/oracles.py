@@ -3,6 +3,8 @@
 Sources: Sunberg and Kochenderfer (ICAPS 2018), with its code; QMDP: Littman, Cassandra, Kaelbling (1995).
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
@@ -93,3 +95,17 @@ def slow_down(problem: PomdpLander, key: Key[Array, ""], belief: Particles) -> F
     mean = belief.mean
     action = jnp.stack([-0.1 * mean[3], -0.1 * mean[4], jnp.zeros_like(mean[0])])
     return jnp.clip(action, problem.action_low, problem.action_high)
+
+
+POLICIES = {
+    "to-next-ml": to_next_ml,
+    "manage-uncertainty": manage_uncertainty,
+    "qmdp": qmdp,
+    "slow-down": slow_down,
+}
+"""Policies that searches start from and that rollouts follow, by name."""
+
+
+def policy_named(policy: Any) -> Any:
+    """The policy of a name; a policy, or None, as it is."""
+    return POLICIES[policy] if isinstance(policy, str) else policy

@@ -6,11 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
-from bojax.numerics.choices import Choice
+from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane
-from bojax.planning.belief_search import BeliefSearch, Expansion
+from bojax.planning.belief_search import RECOMMENDATIONS, BeliefSearch, Expansion
 from bojax.planning.belief_tree import BeliefTree, Widening, row
 from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums
+from bojax.planning.oracles import policy_named
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles, systematic
@@ -99,6 +100,11 @@ class BeliefStep(eqx.Module):
         return ParticleSet(moved[indices], left[indices]), reward, ended | ~jnp.any(left)
 
 
+def belief_step_named(name: str | BeliefStep) -> BeliefStep:
+    """The belief MDP in which termination is `observed`, or treated as `published`."""
+    return BeliefStep(name == "published") if isinstance(name, str) else name
+
+
 def resample(key: Key[Array, ""], log_weights: Float[Array, "M"]) -> Int[Array, "M"]:
     """Systematic resampling of a few particles, by comparing all pairs."""
     num = log_weights.shape[0]
@@ -144,9 +150,9 @@ class PFT(BeliefSearch):
     observation_widening: Widening
     proposal: Proposal
     leaf_value: LeafValue
-    recommendation: Choice
-    belief_step: BeliefStep
-    first_action: Policy | None = eqx.field(static=True)
+    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
+    belief_step: BeliefStep = eqx.field(converter=belief_step_named)
+    first_action: Policy | None = eqx.field(static=True, converter=policy_named)
     iterations: int = eqx.field(static=True)
     depth: int = eqx.field(static=True)
     max_actions: int = eqx.field(static=True)

@@ -6,11 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
-from bojax.numerics.choices import Choice
+from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.simulation_keys import random_index
-from bojax.planning.belief_search import BeliefSearch, Expansion
+from bojax.planning.belief_search import RECOMMENDATIONS, BeliefSearch, Expansion
 from bojax.planning.belief_tree import BeliefTree, Widening, row
 from bojax.planning.leaf_values import LeafValue, Policy
+from bojax.planning.oracles import policy_named
 from bojax.planning.proposals import Proposal
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
@@ -50,8 +51,8 @@ class POMCPOW(BeliefSearch):
     observation_widening: Widening
     proposal: Proposal
     leaf_value: LeafValue
-    recommendation: Choice
-    first_action: Policy | None = eqx.field(static=True)
+    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
+    first_action: Policy | None = eqx.field(static=True, converter=policy_named)
     iterations: int = eqx.field(static=True)
     depth: int = eqx.field(static=True)
     max_actions: int = eqx.field(static=True)

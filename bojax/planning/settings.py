@@ -165,3 +165,147 @@ class Random(PlannerSettings, frozen=True):
     target: ClassVar[str] = "bojax.planning.random:RandomPlanner"
     kind: Literal["random"] = "random"
     motions: Annotated[Component, Slot("motions"), _Family] = Splines()
+
+
+class BeliefPlannerSettings(Component, frozen=True):
+    """A planner on a belief of particles."""
+
+    role: ClassVar[str] = "belief-planner"
+    plural: ClassVar[str] = "planners on beliefs of particles"
+    protocol: ClassVar[str] = "bojax.planning.belief_search:BeliefSearch"
+
+
+class Widening(Component, frozen=True):
+    """Progressive widening: at most k n^alpha children after n visits."""
+
+    role: ClassVar[str] = "widening"
+    plural: ClassVar[str] = "rules of widening"
+    target: ClassVar[str] = "bojax.planning.belief_tree:Widening"
+    kind: Literal["power"] = "power"
+    coefficient: float = Field(default=30.0, gt=0, description="factor k")
+    exponent: float = Field(default=1 / 30, gt=0, le=1, description="exponent alpha")
+
+
+class ProposalSettings(Component, frozen=True):
+    """How a belief search proposes new actions."""
+
+    role: ClassVar[str] = "proposal"
+    plural: ClassVar[str] = "proposals of actions"
+    protocol: ClassVar[str] = "bojax.planning.proposals:Proposal"
+
+
+class RandomProposal(ProposalSettings, frozen=True):
+    """A random action."""
+
+    target: ClassVar[str] = "bojax.planning.proposals:RandomProposal"
+    kind: Literal["random"] = "random"
+
+
+class VoronoiProposal(ProposalSettings, frozen=True):
+    """A random action, or one in the Voronoi cell of the best action so far (Lim et al., 2021)."""
+
+    target: ClassVar[str] = "bojax.planning.proposals:VoronoiProposal"
+    kind: Literal["voronoi"] = "voronoi"
+    probability: float = Field(default=0.7, ge=0, le=1, description="probability of a random action")
+    variance: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+        default=(0.1, 0.1), description="variance about the best action, of each parameter in [-1, 1]"
+    )
+    radius: float = Field(default=0.01, ge=0, description="distance within which a candidate is accepted")
+    max_candidates: int = Field(default=20, ge=1, description="number of candidates")
+
+
+class LeafValueSettings(Component, frozen=True):
+    """The estimate of the value of a new belief."""
+
+    role: ClassVar[str] = "leaf-value"
+    plural: ClassVar[str] = "values of leaves"
+    protocol: ClassVar[str] = "bojax.planning.leaf_values:LeafValue"
+
+
+_Policy = Literal["to-next-ml", "manage-uncertainty", "qmdp", "slow-down"]
+
+
+class Rollout(LeafValueSettings, frozen=True):
+    """Mean return of simulations to the horizon."""
+
+    target: ClassVar[str] = "bojax.planning.leaf_values:Rollout"
+    kind: Literal["rollout"] = "rollout"
+    policy: _Policy | None = Field(
+        default=None, description="policy of the simulations; null for random actions"
+    )
+    num_rollouts: int = Field(default=1, ge=1, description="number of simulations")
+
+
+class StateValue(LeafValueSettings, frozen=True):
+    """Mean value of the states, as if they were observed (MDP)."""
+
+    target: ClassVar[str] = "bojax.planning.leaf_values:StateValue"
+    kind: Literal["state-value"] = "state-value"
+
+
+class _BeliefSearch(BeliefPlannerSettings, frozen=True):
+    exploration: float = Field(default=110.0, ge=0, description="factor c of the exploration bonus")
+    action_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(), description="number of actions of a belief"
+    )
+    observation_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(coefficient=5.0, exponent=0.01), description="number of observations of an action"
+    )
+    proposal: Annotated[Component, Slot("proposal")] = Field(
+        default=RandomProposal(), description="new actions of a space that is not a list"
+    )
+    leaf_value: Annotated[Component, Slot("leaf-value")] = Field(
+        default=Rollout(), description="value of a new belief"
+    )
+    recommendation: Literal["value", "visits"] = Field(
+        default="value", description="whether the plan has the highest value or most visits"
+    )
+    first_action: _Policy | None = Field(
+        default=None, description="policy that gives the first action of the root; null for none"
+    )
+    iterations: int = Field(default=1000, ge=1, description="simulations per plan")
+    depth: int = Field(default=10, ge=1, description="actions up to the horizon")
+    max_actions: int = Field(default=40, ge=1, description="capacity of a belief, unless actions are a list")
+    max_branches: int = Field(default=16, ge=1, description="capacity of an action; 1: no branching")
+
+
+class PFTDPW(_BeliefSearch, frozen=True):
+    """Tree search over sets of particles (Sunberg and Kochenderfer, ICAPS 2018, Algorithm 3)."""
+
+    target: ClassVar[str] = "bojax.planning.pft:PFT"
+    kind: Literal["pft-dpw"] = "pft-dpw"
+    exploration: float = Field(default=70.0, ge=0, description="factor c of the exploration bonus")
+    action_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(coefficient=20.0, exponent=1 / 25), description="number of actions of a belief"
+    )
+    observation_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(coefficient=8.0, exponent=1 / 85), description="number of observations of an action"
+    )
+    num_particles: int = Field(default=20, ge=1, description="particles of a belief of the tree")
+    belief_step: Literal["observed", "published"] = Field(
+        default="observed", description="whether termination is observed, or as in the published program"
+    )
+
+
+class _WeightedAsSimulated(_BeliefSearch, frozen=True):
+    target: ClassVar[str] = "bojax.planning.pomcpow:POMCPOW"
+    num_reservoirs: int = Field(default=16, ge=1, description="reservoirs of a branch, each with one step")
+
+
+class POMCPOW(_WeightedAsSimulated, frozen=True):
+    """Tree search with beliefs weighted as simulations pass (Sunberg and Kochenderfer, ICAPS 2018)."""
+
+    kind: Literal["pomcpow"] = "pomcpow"
+
+
+class VOMCPOW(_WeightedAsSimulated, frozen=True):
+    """POMCPOW with Voronoi widening (Lim, Tomlin and Sunberg, 2021)."""
+
+    kind: Literal["vomcpow"] = "vomcpow"
+    exploration: float = Field(default=85.0, ge=0, description="factor c of the exploration bonus")
+    observation_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(coefficient=2.5, exponent=0.01), description="number of observations of an action"
+    )
+    proposal: Annotated[Component, Slot("proposal")] = Field(
+        default=VoronoiProposal(), description="new actions of a space that is not a list"
+    )
