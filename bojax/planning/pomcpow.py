@@ -40,7 +40,8 @@ class POMCPOW(BeliefSearch):
     Deviation: a branch keeps K reservoirs of one step in place of all steps (Chao, Biometrika 1982, for one
     item). A new step of weight w takes each place with probability w over the sum of all weights; a draw
     takes a random place. Each draw has the distribution of a draw from the list; draws of later visits are
-    correlated.
+    correlated, which makes the search optimistic. Measured on the tiger problem, two actions deep, after
+    12,000 iterations: 15.53 is exact; 17.8 with 4 places, 16.0 with 16, 15.65 with 64, 15.59 with 256.
 
     Attributes:
         num_reservoirs: The number K.
