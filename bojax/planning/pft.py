@@ -217,8 +217,8 @@ class BeliefRollout(LeafValue):
         policy: The policy.
     """
 
-    belief_step: BeliefStep
-    policy: Policy = eqx.field(static=True)
+    belief_step: BeliefStep = eqx.field(converter=belief_step_named)
+    policy: Policy = eqx.field(static=True, converter=policy_named)
 
     @override
     def __call__(

@@ -236,6 +236,21 @@ class Rollout(LeafValueSettings, frozen=True):
     num_rollouts: int = Field(default=1, ge=1, description="number of simulations")
 
 
+_BeliefStep = Annotated[
+    Literal["observed", "published"],
+    Field(description="whether termination is observed, or treated as in the published program"),
+]
+
+
+class BeliefRollout(LeafValueSettings, frozen=True):
+    """Return of one simulation of a policy that acts on sets of particles, to the horizon; for pft-dpw."""
+
+    target: ClassVar[str] = "bojax.planning.pft:BeliefRollout"
+    kind: Literal["belief-rollout"] = "belief-rollout"
+    policy: _Policy = Field(default="qmdp", description="policy of the simulation")
+    belief_step: _BeliefStep = "observed"
+
+
 class StateValue(LeafValueSettings, frozen=True):
     """Mean value of the states, as if they were observed (MDP)."""
 
@@ -282,9 +297,7 @@ class PFTDPW(_BeliefSearch, frozen=True):
         default=Widening(coefficient=8.0, exponent=1 / 85), description="number of observations of an action"
     )
     num_particles: int = Field(default=20, ge=1, description="particles of a belief of the tree")
-    belief_step: Literal["observed", "published"] = Field(
-        default="observed", description="whether termination is observed, or as in the published program"
-    )
+    belief_step: _BeliefStep = "observed"
 
 
 class _WeightedAsSimulated(_BeliefSearch, frozen=True):
