@@ -11,7 +11,6 @@ from urllib.parse import quote
 
 from bojax.claims.collected import collected
 from bojax.claims.multiverse.outcomes import Multiverse, found_below, with_shares
-from bojax.claims.multiverse.page import write_page
 from bojax.report.explanations import AtHand, Explained, causes_of, explanations_of
 from bojax.report.manifest import Manifest
 from bojax.report.source import load
@@ -330,6 +329,8 @@ def _write(
             make_folder(path.parent)
             write_content(path, text)
         for each in multiverses:
+            from bojax.claims.multiverse.page import write_page  # loads matplotlib, for pages that need it
+
             write_page(each, folder / f"multiverse-{each.name}{suffix}")
 
 

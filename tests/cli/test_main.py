@@ -339,6 +339,7 @@ def test_a_process_that_has_imported_jax_leaves_without_pythons_clean_up(monkeyp
     made: list[object] = []
     monkeypatch.setattr("atexit._run_exitfuncs", lambda: made.append("atexit"))
     monkeypatch.setattr("os._exit", made.append)
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # else a later SIGINT would end this process
     monkeypatch.setitem(sys.modules, "jax", jax)
     compiling, of_the_user = threading.Thread(daemon=True), threading.Thread(daemon=False)
     for others, output, expected in (
