@@ -363,10 +363,14 @@ def obtain(
 
 
 def _exported(program: Program, device: Device) -> Program:
-    """The exported program; as it is if it calls this process."""
+    """The exported program; as it is if it cannot be exported.
+
+    That is a program that calls this process (NotImplementedError), or a kernel that JAX does not know
+    (ValueError). It is compiled as it was traced, and can then not be made again by another process.
+    """
     try:
         return program.export(device)
-    except NotImplementedError:
+    except (NotImplementedError, ValueError):
         return program
 
 

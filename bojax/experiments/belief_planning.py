@@ -1,6 +1,6 @@
 """An episode of a planner on a state problem: plan for a belief of particles, act, and filter."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -12,12 +12,22 @@ from typing_extensions import override
 
 from bojax.experiments.base import Experiment, Records
 from bojax.experiments.planning import keep_finished
-from bojax.planning.belief_search import BeliefSearch
+from bojax.planning.belief_search import BeliefPlanner, BeliefSearch
 from bojax.planning.leaf_values import StateValue
 from bojax.problems import particles
 from bojax.problems.particles import Particles
+from bojax.problems.pomdp import light_dark_filter
 from bojax.problems.state_space import StateProblem
 from bojax.results.schema import Column, Table
+
+Update = Callable[..., tuple[Particles, Bool[Array, ""]]]
+"""A filter, with the arguments and results of `particles.update`."""
+
+UPDATES: Mapping[str, Update] = {"bootstrap": particles.update, "light-dark": light_dark_filter.update}
+
+
+def _update_named(update: str | Update) -> Update:
+    return UPDATES[update] if isinstance(update, str) else update
 
 
 class BeliefState(eqx.Module):
@@ -50,21 +60,21 @@ class BeliefState(eqx.Module):
 class BeliefEpisode(Experiment):
     """One episode of a planner on a state problem; an advance is one plan and its action.
 
-    The outer filter is a bootstrap filter with `num_particles` particles (`bojax.problems.particles`).
-
     Settings: `bojax.experiments.settings.BeliefPlanning`.
     """
 
     problem: StateProblem
-    planner: BeliefSearch
+    planner: BeliefPlanner
     num_particles: int = eqx.field(static=True)
+    belief_update: Update = eqx.field(static=True, converter=_update_named)
 
     def __check_init__(self):
         """Refuse a planner that needs what the problem lacks, or raise ValueError."""
         key = jax.random.key(0)
         try:
             known = jax.eval_shape(lambda: self.problem.heuristic_value(self.problem.initial(key)))
-            if known is None and isinstance(self.planner.leaf_value, StateValue):
+            leaf_value = self.planner.leaf_value if isinstance(self.planner, BeliefSearch) else None
+            if known is None and isinstance(leaf_value, StateValue):
                 raise ValueError("planner.leaf_value: got state-value; the problem has no values of states")
             jax.eval_shape(self._plan, key, jax.eval_shape(self._prior, key))
         except (AttributeError, TypeError, IndexError) as error:
@@ -119,7 +129,7 @@ class BeliefEpisode(Experiment):
         plan = self._plan(key_plan, carry.belief)
         state, reward, terminated = problem.step(key_step, carry.state, plan.action)
         observation = problem.observe(key_observe, carry.state, plan.action, state)
-        belief, collapsed = particles.update(problem, key_filter, carry.belief, plan.action, observation)
+        belief, collapsed = self.belief_update(problem, key_filter, carry.belief, plan.action, observation)
 
         weight = problem.discount ** carry.step.astype(reward.dtype)
         step = carry.step + 1
@@ -173,7 +183,13 @@ _RUN_COLUMNS: Table = (
 _STEP_COLUMNS: Table = (
     Column("step", "int32", "", "number of the action, from 1"),
     Column("reward", "float64", "", "reward of the action"),
-    Column("planned_value", "float64", "", "discounted return that the planner expected of the action"),
+    Column(
+        "planned_value",
+        "float64",
+        "",
+        "discounted return that the planner expected of the action; null of a policy",
+        nullable=True,
+    ),
     Column("accumulated_reward", "float64", "", "sum of the rewards so far"),
     Column("done", "bool", "", "the episode ended with this action"),
 )

@@ -121,6 +121,11 @@ class BeliefPlanning(ExperimentSettings, frozen=True):
         default=POMCPOW(), description="planner, which knows the problem's model and the belief"
     )
     num_particles: int = Field(default=10_000, ge=1, description="particles of the belief between plans")
+    belief_update: Literal["bootstrap", "light-dark"] = Field(
+        default="bootstrap",
+        description="filter of the belief: the bootstrap filter, or the published one of Light Dark, which "
+        "replaces particles",
+    )
 
     @property
     @override

@@ -11,12 +11,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
+from typing_extensions import override
 
 from bojax.numerics.choices import Choice
 from bojax.numerics.lanes import any_lane, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
 from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
 from bojax.planning.leaf_values import LeafValue, Policy
+from bojax.planning.oracles import policy_named
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT, write_row
 from bojax.problems.actions import Discrete
@@ -41,6 +43,29 @@ class BeliefPlan(eqx.Module):
     visits: Int[Array, ""]
 
 
+class BeliefPlanner(eqx.Module):
+    """A planner on a belief of particles."""
+
+    @abc.abstractmethod
+    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
+        """The next action for a belief."""
+
+
+class PolicyPlanner(BeliefPlanner):
+    """A policy without search, which predicts no value.
+
+    Attributes:
+        policy: The policy, or its name in `bojax.planning.oracles`.
+    """
+
+    policy: Policy = eqx.field(static=True, converter=policy_named)
+
+    @override
+    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
+        action = self.policy(problem, key, belief)
+        return BeliefPlan(action, jnp.full_like(problem.discount, jnp.nan), jnp.zeros((), jnp.int32))
+
+
 class Expansion(eqx.Module):
     """A new branch.
 
@@ -59,7 +84,7 @@ class Expansion(eqx.Module):
     alive: Bool[Array, "M"]
 
 
-class BeliefSearch(eqx.Module):
+class BeliefSearch(BeliefPlanner):
     """A planner that searches a tree of beliefs; a final class defines beliefs and how they are simulated.
 
     Every iteration descends from the root, at each belief node to the action that maximises
@@ -137,8 +162,8 @@ class BeliefSearch(eqx.Module):
     ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
         """States to estimate a leaf value from at `node`, as in `Expansion`, where the horizon is reached."""
 
+    @override
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
-        """The next action for a belief."""
         tree = self.search(key, problem, belief)
         values, visits = tree.mean_returns(jnp.asarray(ROOT, jnp.int32)), tree.totals[ROOT, :, 0]
         slot = jnp.argmax(jnp.where(self.recommendation.is_("value"), values, visits))

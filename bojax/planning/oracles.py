@@ -101,9 +101,12 @@ POLICIES = {
     "to-next-ml": to_next_ml,
     "manage-uncertainty": manage_uncertainty,
     "qmdp": qmdp,
+    "localise-first": localise_first,
+    "aside-first": aside_first,
+    "ping-first": ping_first,
     "slow-down": slow_down,
 }
-"""Policies that searches start from and that rollouts follow, by name."""
+"""The policies by name."""
 
 
 def policy_named(policy: Any) -> Any:

@@ -172,7 +172,7 @@ class BeliefPlannerSettings(Component, frozen=True):
 
     role: ClassVar[str] = "belief-planner"
     plural: ClassVar[str] = "planners on beliefs of particles"
-    protocol: ClassVar[str] = "bojax.planning.belief_search:BeliefSearch"
+    protocol: ClassVar[str] = "bojax.planning.belief_search:BeliefPlanner"
 
 
 class Widening(Component, frozen=True):
@@ -222,7 +222,9 @@ class LeafValueSettings(Component, frozen=True):
     protocol: ClassVar[str] = "bojax.planning.leaf_values:LeafValue"
 
 
-_Policy = Literal["to-next-ml", "manage-uncertainty", "qmdp", "slow-down"]
+_Policy = Literal[
+    "to-next-ml", "manage-uncertainty", "qmdp", "localise-first", "aside-first", "ping-first", "slow-down"
+]
 
 
 class Rollout(LeafValueSettings, frozen=True):
@@ -256,6 +258,14 @@ class StateValue(LeafValueSettings, frozen=True):
 
     target: ClassVar[str] = "bojax.planning.leaf_values:StateValue"
     kind: Literal["state-value"] = "state-value"
+
+
+class Policy(BeliefPlannerSettings, frozen=True):
+    """A policy without search: the least that a planner on the same problem has to beat."""
+
+    target: ClassVar[str] = "bojax.planning.belief_search:PolicyPlanner"
+    kind: Literal["policy"] = "policy"
+    policy: _Policy = Field(default="qmdp", description="policy, each made for some of the problems")
 
 
 class _BeliefSearch(BeliefPlannerSettings, frozen=True):

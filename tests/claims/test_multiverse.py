@@ -276,7 +276,7 @@ def test_wrong_words(words, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_fresh_seeds_are_judged_with_holm_s_correction(monkeypatch):
+def test_fresh_seeds_are_judged_with_holm_s_correction(paper, monkeypatch):
     # Of p values .001, .012, .02 and .04, the levels are .0125, .0167, .025 and .05: all hold.
     p_values = {"a": 0.012, "b": 0.04, "c": 0.001, "d": 0.02}
     looked = []
@@ -290,10 +290,11 @@ def test_fresh_seeds_are_judged_with_holm_s_correction(monkeypatch):
         return {numbers[0]: [(made[name], "own", {**entry, "verdict": verdicts[name]}) for name in p_values]}
 
     monkeypatch.setattr(outcomes, "evaluated", evaluated)
-    found = outcomes.confirmed(None, {}, [3])  # type: ignore[arg-type]
+    declaration = declared(str(paper))
+    found = outcomes.confirmed(declaration, {}, [3])
     assert found == {3: {"a": "r", "b": "r", "c": "r", "d": "r"}} and looked == [0.05, 0.0125, 0.025, 0.05]
     p_values["a"] = 0.03
-    assert outcomes.confirmed(None, {}, [3])[3] == {"a": "i", "b": "i", "c": "r", "d": "i"}  # type: ignore[arg-type]
+    assert outcomes.confirmed(declaration, {}, [3])[3] == {"a": "i", "b": "i", "c": "r", "d": "i"}
     assert statistics.tail_in_use() == statistics.TAIL
 
 

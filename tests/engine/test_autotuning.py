@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bojax.config.sweep import load_config
-from bojax.engine import autotuning
+from bojax.engine import autotuning, batch
 from bojax.engine.autotuning import XLA_FOLDER, Choices, compile_again, fingerprint, programs_in
 from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program
@@ -171,6 +171,19 @@ def test_a_program_of_other_code_is_compiled_again_as_when_the_plan_began(tmp_pa
     assert next(known, None) is None
     runs = [(tmp_path / name / "runs.parquet").read_bytes() for name in ("first", "second")]
     assert runs[0] == runs[1]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda x: jax.pure_callback(lambda x: x, jax.ShapeDtypeStruct((3,), np.float32), x),
+        lambda x: jax.ffi.ffi_call("of_the_user", jax.ShapeDtypeStruct((3,), np.float32))(x),
+    ],
+)
+def test_a_program_that_cannot_be_exported_is_compiled_as_it_was_traced(call):
+    program = Program.of_trees(call, jax.ShapeDtypeStruct((3,), np.float32))
+    assert batch._exported(program, DEVICE) is program
+    assert compile_again(program, DEVICE, {}) is None
 
 
 def test_programs_that_move_numbers_have_no_choices(tmp_path):

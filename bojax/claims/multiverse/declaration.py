@@ -176,13 +176,6 @@ class Declaration:
             for setting in choice.settings(level, sweep, f"{display(self.path)}: choices.{name}")
         ]
 
-    def described(self, levels: Sequence[int]) -> dict[str, str]:
-        """The name of the value of each choice of a configuration."""
-        return {
-            name: choice.names[level]
-            for (name, choice), level in zip(self.file.choices.items(), levels, strict=True)
-        }
-
     def sweep(self, source: str, numbers: Sequence[int], runs: int | None, seed: int | None) -> Sweep:
         """One of the sweeps, with its points once for each of these configurations, without recorded runs."""
         varied = vary(

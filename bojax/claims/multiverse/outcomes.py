@@ -1,7 +1,8 @@
 """The outcomes of a multiverse analysis: the verdict of each claim in each configuration.
 
-`multiverse.json` grows block by block, and does not depend on the blocks: an analysis that was interrupted,
-or that is continued on another machine from this file alone, ends in the same bytes.
+`multiverse.json` grows block by block. An analysis that was interrupted, or that is continued on another
+machine from this file alone, ends in the same bytes wherever runs do not depend on their batch: on CPUs of
+one kind, and on accelerators of one kind if the blocks are the same.
 """
 
 import math
@@ -56,8 +57,16 @@ class ClaimOutcomes(Recorded):
 
     @property
     def strength(self) -> str:
-        """`robust`, `fragile` or `contrary`, see `strength_of`."""
-        return strength_of(self)
+        """How far the claim depends on the choices.
+
+        `robust`: it holds in more than three quarters of the configurations. `contrary`: it holds in less
+        than a quarter, and the opposite is shown in more than half. `fragile`: everything else.
+        """
+        total = max(1, len(self.verdicts))
+        holds, fails = self.count(CODES["reproduced"]) / total, self.count(CODES["not reproduced"]) / total
+        if holds > 0.75:
+            return "robust"
+        return "contrary" if holds < 0.25 and fails > 0.5 else "fragile"
 
 
 class Confirmed(Recorded):
@@ -96,19 +105,6 @@ class Multiverse(Recorded):
         """The number of claims that hold in each evaluated configuration."""
         table = np.array([[code == "r" for code in claim.verdicts] for claim in self.counted])
         return table.sum(axis=0) if table.size else np.zeros(len(self.done), np.int64)
-
-
-def strength_of(claim: ClaimOutcomes) -> str:
-    """How far a claim depends on the choices.
-
-    `robust`: it holds in more than three quarters of the configurations. `contrary`: it holds in less than a
-    quarter, and the opposite is shown in more than half. `fragile`: everything else.
-    """
-    total = max(1, len(claim.verdicts))
-    holds, fails = claim.count("r") / total, claim.count("n") / total
-    if holds > 0.75:
-        return "robust"
-    return "contrary" if holds < 0.25 and fails > 0.5 else "fragile"
 
 
 def begin(declaration: Declaration) -> Multiverse:
