@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("usual_jax")]
 CLAIMS = {
     "fig-5.2a": (30, ["values-stay", "additive-drops", "order"]),
     "table-5.3-mountain-car": (20, ["emu-q-success", "rff-q-success", "rff-q-episodes", "similar"]),
-    "fig-4.6": (200, ["order-thesis-settings", "kcbts-parks", "kcbts-falls-active", "random-leaves"]),
+    "fig-4.6": (200, ["kcbts-parks-anywhere-bearing-dropped", "kcbts-falls-active", "random-leaves"]),
 }
 """For each sweep a number of runs, and claims that so many runs reproduce."""
 

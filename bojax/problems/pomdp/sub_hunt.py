@@ -99,8 +99,16 @@ class SubHunt(StateProblem):
         return None if self.action_values is None else jnp.max(self.values_at(state))
 
     def values_at(self, state: Float[Array, "6"]) -> Float[Array, "6"]:
-        """Optimal value of each action with states observed."""
-        assert self.action_values is not None
+        """Optimal value of each action with states observed.
+
+        Raises:
+            ValueError: if these values were not solved.
+        """
+        if self.action_values is None:
+            raise ValueError(
+                "problem: sub-hunt has no values of its states; solve them in Python with "
+                "bojax.problems.pomdp.sub_hunt_values.solve"
+            )
         return self.action_values[table_index(state.astype(jnp.int32))]
 
     def outcomes(
