@@ -122,9 +122,12 @@ def vary(
 ) -> Sweep:
     """A sweep with all its points once for each variation, one variation after the other.
 
+    Points of one variant with the same settings are one point, whose runs all these variations share: results
+    depend on settings, seed and number of a run alone.
+
     Args:
         source: The sweep: a name, a path, or the content of a file.
-        axis: Name of the column with the number of the variation.
+        axis: Name of the column with the numbers of a point's variations, with spaces between.
         variations: The settings of each variation, by its number.
         runs: Overrides `runs`.
         seed: Overrides `seed`.
@@ -139,6 +142,7 @@ def vary(
     known: dict[str, Component] = {}
     points: list[Point] = []
     places: list[Callable[[Location], str]] = []  # what locates the settings of each point
+    shared: dict[tuple[str, str], list[int]] = {}  # numbers of the variations of each point
     for number, settings in variations.items():
         for point, raw in zip(own.points, experiments, strict=True):
             varied, origins = raw, dict[tuple[str, ...], str]()
@@ -152,15 +156,23 @@ def vary(
                     origins[each.path] = each.origin
                     varied = assign(varied, each.path, each.value, each.origin)
             changed = partial(_origin_in, origins, point.variant)
-            places.append(changed if origins else partial(own.locate, point.index))
+            locate = changed if origins else partial(own.locate, point.index)
             key = json.dumps(varied, sort_keys=True, default=str)
             if key not in known:
                 try:
                     known[key] = validate_experiment(varied)
                 except pydantic.ValidationError as error:
-                    raise from_validation(error, places[-1]) from error
-            swept = {**point.swept, axis: number}
-            points.append(Point(len(points), known[key].label, point.variant, swept, known[key]))
+                    raise from_validation(error, locate) from error
+            config = known[key]
+            same = shared.setdefault((point.variant, config.model_dump_json()), [])
+            same.append(number)
+            if len(same) == 1:
+                places.append(locate)
+                points.append(Point(len(points), config.label, point.variant, point.swept, config))
+    points = [
+        replace(point, swept={**point.swept, axis: " ".join(map(str, numbers))})
+        for point, numbers in zip(points, shared.values(), strict=True)
+    ]
     RUNS.check(own.runs * len(points), f"{written.file}: runs")
     return replace(
         own, points=tuple(points), published=None, locate=lambda index, location: places[index](location)

@@ -192,13 +192,18 @@ class Results:
         return found
 
     def only(self, points: Sequence[Point]) -> "Results":
-        """The results of some neighbouring points; the tables are views of those of all points."""
+        """The results of some points; the tables of neighbours are views of those of all points."""
         part = replace(self, points=tuple(points))
-        first, last = points[0].index, points[-1].index
+        indices = sorted(point.index for point in points)
+        are_neighbours = indices[-1] - indices[0] < len(indices)
         for name in ("runs", "steps", "episodes"):
             table: Columns = getattr(self, name)
-            low, high = np.searchsorted(table["point"], [first, last + 1]) if table else (0, 0)
-            part.__dict__[name] = Columns({key: column[low:high] for key, column in table.items()})
+            rows: slice | NDArray[np.bool_] = slice(0)
+            if table and are_neighbours:
+                rows = slice(*np.searchsorted(table["point"], [indices[0], indices[-1] + 1]))
+            elif table:
+                rows = np.isin(table["point"], indices)
+            part.__dict__[name] = Columns({key: column[rows] for key, column in table.items()})
         return part
 
     @property

@@ -141,7 +141,7 @@ def test_two_choices_of_one_setting_are_refused(paper):
 
 def test_settings_replace_those_of_the_axes_where_they_are_meant(paper):
     sweep = declared(str(paper)).sweep("own.yaml", [0, 3], None, 5)
-    assert [point.swept["configuration"] for point in sweep.points] == [0, 0, 3, 3]
+    assert [point.swept["configuration"] for point in sweep.points] == ["0", "0", "3", "3"]
     usual, greedy = sweep.points[2:]
     assert (usual.variant, usual.config.learner.learning_rate, usual.config.env.max_steps) == (
         "usual",
@@ -150,6 +150,14 @@ def test_settings_replace_those_of_the_axes_where_they_are_meant(paper):
     )
     assert greedy.config.learner.learning_rate == sweep.points[1].config.learner.learning_rate
     assert (sweep.runs, sweep.seed, sweep.record.runs, sweep.published) == (20, 5, 0, None)
+
+
+def test_configurations_share_the_points_that_no_choice_changes(paper):
+    points = declared(str(paper)).sweep("own.yaml", range(4), None, None).points
+    shared = [(point.variant, point.swept["configuration"]) for point in points]
+    assert shared[:2] == [("usual", "0"), ("greedy", "0 2")]
+    assert [numbers for variant, numbers in shared if variant == "greedy"] == ["0 2", "1 3"]
+    assert [numbers for variant, numbers in shared if variant == "usual"] == ["0", "1", "2", "3"]
 
 
 def test_a_choice_leaves_out_sweeps_and_variants_that_it_is_not_about(paper):

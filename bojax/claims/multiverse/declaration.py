@@ -268,14 +268,12 @@ def _check_choices(declaration: Declaration, where: str) -> None:
                 number += 1
                 tried[number] = name, level
                 variations[number] = choice.settings(level, source, f"{where}: choices.{name}")
-        points = vary(sweep, AXIS, variations).points
-        size = len(points) // len(variations)
-        own = points[:size]
+        points = [
+            (point.swept[AXIS].split(), point.variant) for point in vary(sweep, AXIS, variations).points
+        ]
         for number, (name, level) in tried.items():
             changed = [
-                point.variant
-                for before, point in zip(own, points[number * size :], strict=False)
-                if point.config != before.config
+                variant for numbers, variant in points if str(number) in numbers and "0" not in numbers
             ]
             if changed and level == 0:
                 raise ConfigError(

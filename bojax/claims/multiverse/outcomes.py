@@ -202,11 +202,12 @@ def evaluated(
 
 
 def configuration_of(results: Results, number: int) -> Results:
-    """The results of one configuration."""
+    """The results of one configuration, whose points may be those of others too."""
+    order = list(dict.fromkeys(point.variant for point in results.points))
     points = [
         replace(point, name=point.variant, swept={k: v for k, v in point.swept.items() if k != AXIS})
-        for point in results.points
-        if point.swept[AXIS] == number
+        for point in sorted(results.points, key=lambda point: order.index(point.variant))
+        if str(number) in point.swept[AXIS].split()
     ]
     part = results.only(points)
     part.__dict__["claims"] = results.claims
