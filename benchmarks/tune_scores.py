@@ -23,10 +23,11 @@ from bojax.config.sweep import load_config
 from bojax.engine.program_cache import held
 from bojax.engine.run import run_sweeps
 from bojax.engine.targets import Request
+from bojax.optimisation.search import Search, Values
+from bojax.optimisation.space import Range
 from bojax.report.ranking import Measure
 from bojax.report.source import load
-from bojax.tuning.ranges import Range, described
-from bojax.tuning.search import Search, Values
+from bojax.tuning.ranges import described
 from bojax.tuning.task import Task
 
 PEAK = (0.03, 2.0, 0.4)
@@ -70,7 +71,8 @@ class Random:
     def propose(self, number: int) -> list[Values]:
         """The points of a batch."""
         return [
-            tuple(each.value(self._random.uniform(*each.box)) for each in self._ranges) for _ in range(number)
+            tuple(each.value([self._random.uniform(*each.box)]) for each in self._ranges)
+            for _ in range(number)
         ]
 
     def tell(self, points: Sequence[Values], scores: Sequence[float]) -> None:

@@ -1,5 +1,10 @@
 from bojax.api.errors import BojaxError as BojaxError
 from bojax.api.errors import Interrupted as Interrupted
+from bojax.api.optimisation import OptimisationResult as OptimisationResult
+from bojax.api.optimiser import ObjectiveError as ObjectiveError
+from bojax.api.optimiser import Optimiser as Optimiser
+from bojax.api.optimiser import maximise as maximise
+from bojax.api.optimiser import minimise as minimise
 from bojax.api.parts import part as part
 from bojax.api.plots import plot_gp as plot_gp
 from bojax.api.plots import plot_search as plot_search

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.acquisition.functions import Acquisition, UpperConfidenceBound
-from bojax.acquisition.maximise import best_candidate, refine
+from bojax.acquisition.maximise import best_candidate, best_refined, refine
 from bojax.acquisition.scaling import centre_and_unit, standardise
 from bojax.acquisition.thompson import ThompsonSampling
 from bojax.models.checks import (
@@ -40,7 +40,11 @@ NOISE_SPREAD_BELOW = 20.0
 """Standard deviation of the noise's prior below its median, in units of `prior_spread`: an objective without
 noise is found to have none, while few noisy values are not explained as noise alone."""
 
-_STREAMS = ("initial", "candidates", "relearning", "draws")
+LOCAL_DECADES = (-3.0, 0.5)
+"""Decimal logarithms of the least and the greatest distance of candidates near the best observed point, in
+units of half the box."""
+
+_STREAMS = ("initial", "candidates", "relearning", "draws", "local")
 
 
 class OptimisationState(eqx.Module):
@@ -92,6 +96,8 @@ class BayesianOptimisation(eqx.Module):
         num_candidates: Number of candidates over which the acquisition is maximised.
         num_initial: Number of initial observations, at quasi-random points.
         refine_steps: Number of gradient steps from the best candidate; 0 disables them.
+        num_local: Number of further candidates near the best observed point, at distances of all scales.
+        num_starts: Number of the best candidates from which gradient steps are taken.
         relearn_every: Number of evaluations between two relearnings; 0 disables relearning.
         prior_spread: Standard deviation of the log-normal prior of relearned hyper-parameters, in the
             logarithm.
@@ -106,6 +112,8 @@ class BayesianOptimisation(eqx.Module):
     num_candidates: int = eqx.field(static=True, default=512)
     num_initial: int = eqx.field(static=True, default=4)
     refine_steps: int = eqx.field(static=True, default=20)
+    num_local: int = eqx.field(static=True, default=0)
+    num_starts: int = eqx.field(static=True, default=1)
     relearn_every: int = eqx.field(static=True, default=0)
     prior_spread: float = eqx.field(static=True, default=PRIOR_SPREAD)
 
@@ -115,6 +123,7 @@ class BayesianOptimisation(eqx.Module):
         if not isinstance(self.acquisition, ThompsonSampling):
             check_kind("acquisition", self.acquisition, Acquisition, "LogExpectedImprovement(0.0)")
         least = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
+        least |= {"num_local": 0, "num_starts": 1}
         for name, number in least.items():
             check_count(name, getattr(self, name), number)
         check_number("prior_spread", self.prior_spread, 0.0, str(self.low.dtype), is_above=True)
@@ -167,10 +176,17 @@ class BayesianOptimisation(eqx.Module):
         acquisition, model = self._target(state)
         best = highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
-        choice = best_candidate(acquisition, model, best, candidates, model.whiten(candidates))
-        point = candidates[choice]
-        if self.refine_steps > 0:
-            point = refine(acquisition, model, best, point, self.refine_steps)
+        if self.num_local > 0:
+            near = self._near_best(state)
+            candidates = jnp.concatenate([candidates, near])
+        if self.num_starts == 1:
+            choice = best_candidate(acquisition, model, best, candidates, model.whiten(candidates))
+            point = candidates[choice]
+            if self.refine_steps > 0:
+                point = refine(acquisition, model, best, point, self.refine_steps)
+        else:
+            steps = self.refine_steps
+            point = best_refined(acquisition, model, best, candidates, self.num_starts, steps)
         # After a missing evaluation, the model would ask for nearly the same point again: a quasi-random one
         # instead.
         initial = self._quasirandom(_stream(state, "initial"))[state.num_told % self.num_candidates]
@@ -324,6 +340,18 @@ class BayesianOptimisation(eqx.Module):
 
     def _quasirandom(self, key: Key[Array, ""]) -> Float[Array, "C D"]:
         return shifted_kronecker(key, self.num_candidates, self.low.shape[0], self.low.dtype)
+
+    def _near_best(self, state: OptimisationState) -> Float[Array, "L D"]:
+        """Points in some coordinates as the best observed one, and in the others near it."""
+        values = jnp.where(state.model.is_held(), state.model.y, -jnp.inf)
+        best, num_dims, dtype = state.model.x[None, jnp.argmax(values)], self.low.shape[0], self.low.dtype
+        shape = (self.num_local, num_dims)
+        key = jax.random.fold_in(_stream(state, "local"), state.num_told)
+        key_size, key_change, key_which = jax.random.split(key, 3)
+        size = 10.0 ** jax.random.uniform(key_size, (self.num_local, 1), dtype, *LOCAL_DECADES)
+        change = size * jax.random.normal(key_change, shape, dtype)
+        is_changed = jax.random.uniform(key_which, shape, dtype) < max(0.5, 1.0 / num_dims)
+        return jnp.clip(jnp.where(is_changed, best + change, best), -1.0, 1.0)
 
     def _from_unit(self, point: Float[Array, "D"]) -> Float[Array, "D"]:
         # Unlike low + weight * (high - low), a weighted sum of the corners cannot leave the box by rounding.

@@ -30,6 +30,27 @@ def best_candidate(
     return first_maximum(acquisition(mean, jnp.sqrt(variance), best))
 
 
+def best_refined(
+    acquisition: Acquisition,
+    posterior: GaussianProcess,
+    best: Float[Array, ""],
+    candidates: Float[Array, "C D"],
+    num_starts: int,
+    num_steps: int,
+) -> Float[Array, "D"]:
+    """The best of the local maxima near the `num_starts` candidates of highest acquisition."""
+
+    def scores(xs: Float[Array, "M D"]) -> Float[Array, "M"]:
+        mean, variance = posterior.predict(xs)
+        return acquisition(mean, jnp.sqrt(variance), best)
+
+    _, starts = jax.lax.top_k(scores(candidates), num_starts)
+    refined = jax.vmap(lambda start: refine(acquisition, posterior, best, start, num_steps))(
+        candidates[starts]
+    )
+    return refined[jnp.argmax(scores(refined))]
+
+
 def first_maximum(scores: Float[Array, "C"]) -> Int[Array, ""]:
     """The result of `jnp.argmax`: the index of the first maximum, or of a NaN if there is one."""
     # On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares,

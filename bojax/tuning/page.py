@@ -1,14 +1,11 @@
 """The page of a search over settings, from the files of its folder."""
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
-
+from bojax.optimisation.drawing import draw_progress, draw_slice
+from bojax.optimisation.space import Range
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Recorded, validated
@@ -20,14 +17,12 @@ from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_c
 from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content
-from bojax.tuning.ranges import Range, described
+from bojax.tuning.ranges import described
 
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
 
 MOST_RANKED = 50  # number of points in the table
-
-_DOTS: Mapping[str, Any] = {"color": style.GREY, "markeredgewidth": 0}
 
 
 class TriedPoint(Recorded):
@@ -208,21 +203,10 @@ def _draw_slices(tuning: Tuning) -> Drawing:
     ranges, best = tuning.ranges, tuning.best
     figure, grid = panel_grid(len(ranges), lambda columns: 2.3, 0.4, sharey=True)
     tried = [point for point in tuning.points if point.score is not None]
+    scores = [point.score for point in tried if point.score is not None]
     for index, (axes, each, curve) in enumerate(zip(grid.flat, ranges, tuning.slices, strict=False)):
-        x, mean, std = (np.asarray(values) for values in (curve.values, curve.mean, curve.std))
-        axes.fill_between(x, mean - BAND * std, mean + BAND * std, color=style.BLUE, alpha=0.18, linewidth=0)
-        axes.plot(x, mean, color=style.BLUE)
-        places, scores = [point.values[index] for point in tried], [point.score for point in tried]
-        axes.plot(places, scores, "o", **_DOTS, markersize=3, alpha=0.5)
-        axes.plot([best.values[index]], [best.mean], "D", color=style.ORANGE, markersize=6)
-        if each.is_log:
-            axes.set_xscale("log")
-            axes.xaxis.set_major_locator(LogLocator(subs=_ticks(each.low, each.high)))
-            axes.xaxis.set_minor_formatter(NullFormatter())
-        else:
-            axes.xaxis.set_major_locator(MaxNLocator(nbins=4))
-        _finish(axes)
-        axes.set_xlabel(style.wrapped(each.key, 22))
+        told = [point.values[index] for point in tried], scores
+        draw_slice(axes, each, (curve.values, curve.mean, curve.std), told, (best.values[index], best.mean))
     label_panels(grid, None, f"mean {heading(tuning.plan.metric)}")
     return Drawing(
         figure,
@@ -235,17 +219,12 @@ def _draw_slices(tuning: Tuning) -> Drawing:
 
 def _draw_progress(tuning: Tuning) -> Drawing:
     """The score of every point, and the best score so far, by number of runs."""
-    sign, runs = tuning.measure.sign, tuning.plan.runs
-    scores = np.asarray([np.nan if point.score is None else point.score for point in tuning.points])
-    spent = runs * np.arange(1, len(scores) + 1)
-    best = sign * np.fmax.accumulate(sign * scores)
+    runs, spent = tuning.plan.runs, [tuning.plan.runs * (index + 1) for index in range(len(tuning.points))]
     figure, ((axes,),) = style.figure(2.8)
-    axes.plot(spent, scores, "o", **_DOTS, markersize=3.5, alpha=0.6)
-    axes.step(spent, best, where="post", color=style.BLUE)
+    best = draw_progress(axes, [point.score for point in tuning.points], tuning.measure.sign > 0, spent)
     axes.axhline(tuning.best.mean, color=style.ORANGE, linewidth=1.2, linestyle=(0, (5, 2)))
     axes.set_xlabel("runs")
     axes.set_ylabel(style.drawn_text(f"mean {heading(tuning.plan.metric)}"))
-    _finish(axes)
     return Drawing(
         figure,
         "Best score by number of runs",
@@ -253,14 +232,3 @@ def _draw_progress(tuning: Tuning) -> Drawing:
         "because of the noise. Dashed line: posterior mean of the best point.",
         f"The best score after {spent[-1]} runs is {number(float(best[-1]))}.",
     )
-
-
-def _finish(axes: Axes) -> None:
-    for axis in (axes.xaxis, axes.yaxis):
-        style.plain_ticks(axis)
-    style.quiet_grid(axes)
-
-
-def _ticks(low: float, high: float) -> tuple[float, ...]:
-    """Leading digits of the ticks of a logarithmic axis: more of them over a short range."""
-    return (1.0,) if high / low > 100.0 else (1.0, 3.0) if high / low > 10.0 else (1.0, 2.0, 5.0)

@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -11,12 +10,10 @@ from bojax.config.component import Component
 from bojax.config.errors import ConfigError
 from bojax.config.overrides import SOURCE, parse_overrides
 from bojax.config.settings import RESERVED
+from bojax.optimisation.space import Range
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"(?P<key>[^=]+)=(?P<low>{_NUMBER}):(?P<high>{_NUMBER})(?P<log>:log)?")
-
-SIGNIFICANT = 6
-"""Significant digits of a proposed value, so that configs stay readable."""
 
 EXAMPLE = "planner.exploration=0.1:10:log"
 
@@ -28,34 +25,6 @@ class Asked(NamedTuple):
     low: str
     high: str
     is_log: bool
-
-
-@dataclass(frozen=True)
-class Range:
-    """A number that a search varies."""
-
-    key: str  # dotted path of the setting
-    low: float
-    high: float
-    is_log: bool  # whether values are searched by their logarithm
-    is_integer: bool  # whether the setting is an integer; positions are then rounded
-
-    @property
-    def box(self) -> tuple[float, float]:
-        """The bounds of the position; those of an integer include all that is rounded to it."""
-        spare = 0.5 if self.is_integer else 0.0
-        return self.position(self.low - spare), self.position(self.high + spare)
-
-    def position(self, value: float) -> float:
-        """Map a setting value to its search coordinate."""
-        return math.log10(value) if self.is_log else float(value)
-
-    def value(self, position: float) -> int | float:
-        """Map a search coordinate to a setting value, rounded and clipped to the bounds."""
-        value = 10.0**position if self.is_log else position
-        if self.is_integer:
-            return int(min(max(math.floor(value + 0.5), self.low), self.high))
-        return float(min(max(float(f"{value:.{SIGNIFICANT}g}"), self.low), self.high))
 
 
 def split_ranges(words: Iterable[str]) -> tuple[list[Asked], list[str]]:

@@ -18,13 +18,13 @@ from bojax.engine.program_cache import held
 from bojax.engine.remote import Launcher
 from bojax.engine.run import run_sweeps
 from bojax.engine.targets import Request, say_new
+from bojax.optimisation.search import Search, Values
 from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import Point, load
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
 from bojax.tuning.page import TUNING, build_page, is_search, read_tuning, round_folder, round_name
 from bojax.tuning.ranges import described, value_at
-from bojax.tuning.search import Search, Values
 from bojax.tuning.task import Task
 
 TOP = 3
@@ -222,7 +222,7 @@ class _Rounds:
     def _slice(self, index: int, best: Values) -> dict[str, Any]:
         """The posterior over one setting, the others as at the best point."""
         each = self._task.ranges[index]
-        positions = np.linspace(each.position(each.low), each.position(each.high), NUM_SLICE)
-        values = sorted({each.value(position) for position in positions.tolist()})
+        (low,), (high,) = each.position(each.low), each.position(each.high)
+        values = sorted({each.value([position]) for position in np.linspace(low, high, NUM_SLICE).tolist()})
         mean, std = self._expected([(*best[:index], value, *best[index + 1 :]) for value in values])
         return {"values": values, "mean": mean.tolist(), "std": std.tolist()}

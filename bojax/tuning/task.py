@@ -13,7 +13,8 @@ from bojax.config.settings import Platform
 from bojax.config.sweep import Sweep, load_config, load_sweep
 from bojax.config.sweep_file import Source
 from bojax.engine.resolve import resolved
-from bojax.tuning.ranges import Asked, Range, range_of
+from bojax.optimisation.space import Range
+from bojax.tuning.ranges import Asked, range_of
 
 MOST_POINTS = 1000
 """Maximum number of points of a search: the time of the model grows with their cube."""

@@ -153,7 +153,7 @@ def test_killed_between_rounds_and_resumed(tmp_path, undisturbed):
     out = tmp_path / "search"
     killed(
         out,
-        "from bojax.tuning.search import Search\n"
+        "from bojax.optimisation.search import Search\n"
         "propose = Search.propose\n"
         "def stop(self, number):\n"
         "    if self._seen: os.kill(os.getpid(), signal.SIGKILL)\n"

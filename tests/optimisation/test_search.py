@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bojax.tuning.ranges import Range
-from bojax.tuning.search import Search
+from bojax.optimisation.search import Search
+from bojax.optimisation.space import Range
 from tests.tiers import by_tier
 
 RATE = Range("learner.learning_rate", 1e-3, 1.0, is_log=True, is_integer=False)
@@ -120,10 +120,10 @@ def test_a_point_without_a_score_is_not_tried_again():
 
 def test_values_stay_within_the_bounds_and_integers_have_equal_shares():
     for each in (RATE, WEIGHT, DEPTH):
-        values = [each.value(position) for position in np.linspace(*each.box, 1001).tolist()]
+        values = [each.value([position]) for position in np.linspace(*each.box, 1001).tolist()]
         assert min(values) == each.low and max(values) == each.high
         assert [each.value(each.position(value)) for value in values] == values
     low, high = DEPTH.box
     positions = np.linspace(low, high, 5001)[:-1].tolist()
-    _, counts = np.unique([DEPTH.value(position) for position in positions], return_counts=True)
+    _, counts = np.unique([DEPTH.value([position]) for position in positions], return_counts=True)
     assert counts.tolist() == [1000] * 5

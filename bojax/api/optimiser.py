@@ -1,0 +1,301 @@
+"""Bayesian optimisation of a function of the user's: `minimise`, `maximise`, and step by step."""
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from bojax.api.errors import BojaxError
+from bojax.api.optimisation import Evaluation, OptimisationResult
+from bojax.config.errors import shown
+from bojax.optimisation.search import Search, Values
+from bojax.optimisation.space import SpaceError, read_space
+from bojax.text import error_line
+
+LEAST_CAPACITY = 32
+"""Capacity of the first model; each further one, which is compiled anew, has twice as many observations."""
+
+Workers = Callable[[Callable[[Mapping[str, Any]], float], Sequence[Mapping[str, Any]]], Iterable[float]]
+"""`map`, or one that evaluates in parallel, such as that of an executor."""
+
+
+class ObjectiveError(BojaxError):
+    """The function that is optimised raised an error, which is the cause of this one.
+
+    Attributes:
+        result: What was found before.
+    """
+
+    def __init__(self, message: str, result: OptimisationResult):
+        super().__init__(message)
+        self.result = result
+
+
+class Optimiser:
+    """Proposes points of a space and learns from their values, for loops of one's own.
+
+    Values are modelled by a Gaussian process in float64 whose hyper-parameters are relearned after every
+    `tell`; the next point maximises the logarithm of the expected improvement, or, with noise, a confidence
+    bound (see `Search`). A value of NaN or infinity is a failure: the point is not proposed again, and does
+    not enter the model.
+    """
+
+    def __init__(
+        self,
+        space: Mapping[str, Any],
+        *,
+        maximise: bool = False,
+        noisy: bool = False,
+        initial: int | None = None,
+        batch: int = 1,
+        capacity: int = LEAST_CAPACITY,
+        seed: int = 0,
+    ):
+        """Start an optimisation.
+
+        Args:
+            space: For each name a tuple `(low, high)`, of integers if both bounds are, a tuple `(low, high,
+                "log")` for a range that spans decades, or a list of choices.
+            maximise: Whether higher values are better.
+            noisy: Whether evaluations of one point differ from time to time.
+            initial: Number of quasi-random points in the beginning; by default 2 for each axis and 2 more, at
+                most 16.
+            batch: Largest number of points that are proposed together.
+            capacity: Expected number of evaluations. For more of them, a larger program is compiled.
+            seed: Seed of the proposals.
+
+        Raises:
+            SpaceError: The space is wrong; a `ValueError`.
+            ValueError: A number is too small.
+        """
+        self._axes = read_space(space)
+        self._sign, self._is_noisy, self._seed = (1.0 if maximise else -1.0), bool(noisy), int(seed)
+        self._batch = _count("batch", batch)
+        self._initial = min(16, 2 + 2 * len(self._axes)) if initial is None else _count("initial", initial)
+        self._evaluations: list[Evaluation] = []
+        self._search = self._new(max(LEAST_CAPACITY, _count("capacity", capacity)))
+
+    @property
+    def batch(self) -> int:
+        """Largest number of points that are proposed together."""
+        return self._batch
+
+    def ask(self) -> dict[str, Any]:
+        """The next point to evaluate; it stays the same until a value is told.
+
+        Raises:
+            ValueError: All points of the space have been tried.
+        """
+        points = self.ask_batch(1)
+        if not points:
+            raise ValueError("all points of the space have been tried")
+        return points[0]
+
+    def ask_batch(self, number: int) -> list[dict[str, Any]]:
+        """Points to evaluate together; fewer if no others are left.
+
+        Raises:
+            ValueError: `number` is above `batch`.
+        """
+        if not 1 <= number <= self._batch:
+            raise ValueError(f"number: got {number}; allowed: from 1 to {self._batch}, the batch")
+        names = [axis.key for axis in self._axes]
+        return [dict(zip(names, values, strict=True)) for values in self._search.propose(number)]
+
+    def tell(self, point: Mapping[str, Any], value: float) -> None:
+        """Learn the value of a point, which need not have been proposed.
+
+        Raises:
+            ValueError: The point is not in the space, or the value is not a number.
+        """
+        self.tell_batch([point], [value])
+
+    def tell_batch(self, points: Sequence[Mapping[str, Any]], values: Sequence[float]) -> None:
+        """Learn the values of points.
+
+        Raises:
+            ValueError: A point is not in the space, or a value is not a number.
+        """
+        told = [
+            Evaluation(self._checked(point), _number(value))
+            for point, value in zip(points, values, strict=True)
+        ]
+        self._evaluations += told
+        if len(self._evaluations) > self._capacity:
+            self._search = self._new(2 ** math.ceil(math.log2(len(self._evaluations))))
+            told = self._evaluations
+        if told:
+            self._search.tell([self._values(each) for each in told], [self._score(each) for each in told])
+
+    def result(self) -> OptimisationResult:
+        """What was found so far."""
+        search = self._search if any(map(Evaluation.is_finite, self._evaluations)) else None
+        return OptimisationResult(
+            tuple(self._evaluations), self._axes, self._sign > 0.0, self._is_noisy, search
+        )
+
+    def _new(self, capacity: int) -> Search:
+        self._capacity = capacity
+        return Search(
+            self._axes,
+            self._seed,
+            self._batch,
+            capacity,
+            is_noisy=self._is_noisy,
+            initial=self._initial,
+        )
+
+    def _values(self, evaluation: Evaluation) -> Values:
+        return tuple(evaluation.point[axis.key] for axis in self._axes)
+
+    def _score(self, evaluation: Evaluation) -> float:
+        return self._sign * evaluation.value if evaluation.is_finite() else math.nan
+
+    def _checked(self, point: Mapping[str, Any]) -> dict[str, Any]:
+        names = [axis.key for axis in self._axes]
+        if not isinstance(point, Mapping) or set(point) != set(names):
+            raise SpaceError(f"point: got {shown(point)}; allowed: a value for each of {', '.join(names)}")
+        return {axis.key: axis.checked(point[axis.key]) for axis in self._axes}
+
+
+def minimise(
+    function: Callable[..., float],
+    space: Mapping[str, Any],
+    /,
+    budget: int = 50,
+    *,
+    batch: int = 1,
+    known: Iterable[tuple[Mapping[str, Any], float]] = (),
+    noisy: bool = False,
+    initial: int | None = None,
+    workers: Workers = map,
+    seed: int = 0,
+    progress: bool = True,
+) -> OptimisationResult:
+    """Find the least value of a function that is expensive to evaluate, by Bayesian optimisation.
+
+    `bojax.minimise(lambda x, y: (x - 1) ** 2 + y, {"x": (-5.0, 5.0), "y": (0, 10)}, budget=30)` has the best
+    point in `.best` and its value in `.value`.
+
+    Args:
+        function: Takes a value for each name of the space as keyword arguments, and returns a number. NaN and
+            infinity mean that the evaluation failed.
+        space: For each name a tuple `(low, high)`, of integers if both bounds are, a tuple `(low, high,
+            "log")` for a range that spans decades, or a list of choices.
+        budget: Number of evaluations, without the known ones.
+        batch: Number of points that are proposed together.
+        known: Evaluations that have already been made: pairs of a point and its value.
+        noisy: Whether evaluations of one point differ from time to time. The best point is then the one with
+            the best mean under the model, and not the one with the luckiest value.
+        initial: Number of quasi-random points in the beginning, of which known points count; by default 2 for
+            each axis and 2 more, at most 16.
+        workers: Evaluates the points of a batch: `map`, or `map` of an executor, which does so in parallel.
+        seed: Seed of the proposals.
+        progress: Whether to show the number of evaluations and the best value on a terminal.
+
+    Returns:
+        The best point, its value, and all evaluations. Ctrl-C ends the optimisation early.
+
+    Raises:
+        ValueError: An argument is wrong.
+        ObjectiveError: The function raised an error; its `result` has what was found before.
+    """
+    optimiser = _begun(space, budget, batch, known, maximise=False, noisy=noisy, initial=initial, seed=seed)
+    return _optimised(optimiser, function, budget, workers, progress)
+
+
+def maximise(
+    function: Callable[..., float],
+    space: Mapping[str, Any],
+    /,
+    budget: int = 50,
+    *,
+    batch: int = 1,
+    known: Iterable[tuple[Mapping[str, Any], float]] = (),
+    noisy: bool = False,
+    initial: int | None = None,
+    workers: Workers = map,
+    seed: int = 0,
+    progress: bool = True,
+) -> OptimisationResult:
+    """Find the greatest value of a function; everything else is as in `bojax.minimise`."""
+    optimiser = _begun(space, budget, batch, known, maximise=True, noisy=noisy, initial=initial, seed=seed)
+    return _optimised(optimiser, function, budget, workers, progress)
+
+
+def _begun(
+    space: Mapping[str, Any],
+    budget: int,
+    batch: int,
+    known: Iterable[tuple[Mapping[str, Any], float]],
+    **settings: Any,
+) -> Optimiser:
+    """An optimiser with room for all evaluations, and the known ones."""
+    known = list(known)
+    batch, capacity = min(_count("batch", batch), _count("budget", budget)), budget + len(known)
+    optimiser = Optimiser(space, batch=batch, capacity=capacity, **settings)
+    optimiser.tell_batch([point for point, _ in known], [value for _, value in known])
+    return optimiser
+
+
+def _optimised(
+    optimiser: Optimiser, function: Callable[..., float], budget: int, workers: Workers, progress: bool
+) -> OptimisationResult:
+    if not callable(function):
+        raise ValueError(f"function: got {shown(function)}; allowed: a function")
+    line = _Line(budget, progress)
+    done = 0
+    try:
+        while done < budget and (points := optimiser.ask_batch(min(optimiser.batch, budget - done))):
+            try:
+                values = list(workers(partial(_call, function), points))
+            except Exception as error:
+                point = ", ".join(f"{name}={shown(value)}" for name, value in points[0].items())
+                raise ObjectiveError(
+                    f"the function raised {error_line(error)} at {point}"
+                    + (f" or at one of {len(points) - 1} other points" if len(points) > 1 else ""),
+                    optimiser.result(),
+                ) from error
+            optimiser.tell_batch(points, values)
+            done += len(points)
+            line.show(done, optimiser.result())
+    except KeyboardInterrupt:
+        line.end()
+        print(f"stopped after {done} evaluations", file=sys.stderr)
+    else:
+        line.end()
+    return optimiser.result()
+
+
+def _call(function: Callable[..., float], point: Mapping[str, Any]) -> float:
+    return function(**point)  # a function of the module, which processes can be sent
+
+
+class _Line:
+    """The number of evaluations and the best value, on one line of a terminal."""
+
+    def __init__(self, budget: int, is_wanted: bool):
+        self._budget, self._is_shown = budget, is_wanted and sys.stderr.isatty()
+
+    def show(self, done: int, found: OptimisationResult) -> None:
+        if self._is_shown:
+            value = "no value yet" if found.value is None else f"best {found.value:.6g}"
+            print(f"\r{done}/{self._budget} evaluations, {value}\033[K", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._is_shown:
+            print(file=sys.stderr)
+
+
+def _count(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise ValueError(f"{name}: got {shown(value)}; allowed: an integer >= 1")
+    return value
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"value: got {shown(value)}; allowed: a number") from None

@@ -1,0 +1,1 @@
+"""Optimisation of a plain function over numbers, integers and choices."""

@@ -1,0 +1,176 @@
+"""Spaces to search: ranges of numbers and integers, also by their logarithm, and choices. Imports no JAX."""
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import Any, TypeAlias
+
+from bojax.config.errors import shown
+
+SIGNIFICANT = 6
+"""Significant digits of a proposed number, so that proposals stay readable."""
+
+LOG = "log"
+"""The third element of a range whose values are searched by their logarithm."""
+
+
+class SpaceError(ValueError):
+    """A space, or a value of it, is wrong; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A number that a search varies."""
+
+    key: str
+    low: float
+    high: float
+    is_log: bool  # whether values are searched by their logarithm
+    is_integer: bool  # whether values are integers; positions are then rounded
+
+    @property
+    def width(self) -> int:
+        """Number of coordinates of a position."""
+        return 1
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """The bounds of the position; those of an integer include all that is rounded to it."""
+        spare = 0.5 if self.is_integer else 0.0
+        return self._coordinate(self.low - spare), self._coordinate(self.high + spare)
+
+    def position(self, value: Any) -> list[float]:
+        """Map a value to its position."""
+        return [self._coordinate(value)]
+
+    def value(self, position: Sequence[float]) -> int | float:
+        """Map a position to a value, rounded and clipped to the bounds."""
+        value = 10.0 ** position[0] if self.is_log else position[0]
+        if self.is_integer:
+            return int(min(max(math.floor(value + 0.5), self.low), self.high))
+        return float(min(max(self._readable(value), self.low), self.high))
+
+    def checked(self, value: Any) -> int | float:
+        """A value that a user gives.
+
+        Raises:
+            SpaceError: It is not a number of the range.
+        """
+        number = _number_of(value)
+        is_inside = number is not None and self.low <= number <= self.high
+        if number is None or not is_inside or (self.is_integer and number != int(number)):
+            kind = "an integer" if self.is_integer else "a number"
+            raise SpaceError(
+                f"{self.key}: got {shown(value)}; allowed: {kind} from {self.low:g} to {self.high:g}"
+            )
+        return int(number) if self.is_integer else number
+
+    def _coordinate(self, value: float) -> float:
+        return math.log10(value) if self.is_log else float(value)
+
+    def _readable(self, value: float) -> float:
+        """A number of few digits; of a range that is narrow beside its bounds, digits of its width."""
+        digits = SIGNIFICANT
+        if not self.is_log:
+            largest = max(abs(self.low), abs(self.high))
+            digits += max(0, math.floor(math.log10(largest / (self.high - self.low))))
+        return float(f"{value:.{digits}g}")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some values without an order, whose position has a coordinate for each: the largest one wins."""
+
+    key: str
+    values: tuple[Hashable, ...]
+
+    @property
+    def width(self) -> int:
+        """Number of coordinates of a position."""
+        return len(self.values)
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """The bounds of each coordinate."""
+        return -1.0, 1.0
+
+    def position(self, value: Any) -> list[float]:
+        """Map a value to its position."""
+        chosen = self.values.index(value)
+        return [1.0 if index == chosen else -1.0 for index in range(len(self.values))]
+
+    def value(self, position: Sequence[float]) -> Hashable:
+        """Map a position to a value."""
+        return self.values[max(range(len(self.values)), key=lambda index: position[index])]
+
+    def checked(self, value: Any) -> Hashable:
+        """A value that a user gives.
+
+        Raises:
+            SpaceError: It is none of the choices.
+        """
+        for each in self.values:
+            if type(each) is type(value) and each == value:
+                return each
+        raise SpaceError(f"{self.key}: got {shown(value)}; allowed: {', '.join(map(shown, self.values))}")
+
+
+Axis: TypeAlias = Range | Choice
+
+
+def read_space(space: Mapping[str, Any]) -> tuple[Axis, ...]:
+    """The axes of a space.
+
+    Args:
+        space: For each name a tuple `(low, high)`, of integers if both bounds are, a tuple `(low, high,
+            "log")`, or a list of choices.
+
+    Raises:
+        SpaceError: A bound or a choice is wrong.
+    """
+    if not isinstance(space, Mapping) or not space:
+        raise SpaceError(
+            f"space: got {shown(space)}; allowed: a mapping of names to ranges or choices, such as "
+            '{"rate": (1e-4, 1.0, "log"), "depth": (1, 8), "kernel": ["rbf", "matern"]}'
+        )
+    return tuple(_axis(name, given) for name, given in space.items())
+
+
+def _axis(name: Any, given: Any) -> Axis:
+    if not isinstance(name, str):
+        raise SpaceError(f"space: got the name {shown(name)}; allowed: text")
+    if isinstance(given, list):
+        return _choice(name, given)
+    wrong = SpaceError(
+        f'{name}: got {shown(given)}; allowed: a tuple (low, high) or (low, high, "log"), '
+        "or a list of choices"
+    )
+    if not isinstance(given, tuple) or len(given) not in (2, 3) or (len(given) == 3 and given[2] != LOG):
+        raise wrong
+    low, high, is_log = given[0], given[1], len(given) == 3
+    if _number_of(low) is None or _number_of(high) is None:
+        raise wrong
+    if not (math.isfinite(low) and math.isfinite(high) and low < high and math.isfinite(high - low)):
+        raise SpaceError(f"{name}: got {low:g} and {high:g}; allowed: low < high, both finite")
+    if is_log and low <= 0:
+        raise SpaceError(f"{name}: got {low:g}; allowed: > 0, for the logarithm")
+    are_integers = isinstance(low, Integral) and isinstance(high, Integral)
+    number = int if are_integers else float
+    return Range(name, number(low), number(high), is_log, are_integers)
+
+
+def _choice(name: str, given: list[Any]) -> Choice:
+    if len(given) < 2:
+        raise SpaceError(f"{name}: got {shown(given)}; allowed: at least two choices")
+    for each in given:
+        if not isinstance(each, Hashable):
+            raise SpaceError(f"{name}: got {shown(each)}; allowed: choices such as texts and numbers")
+    if len({(type(each), each) for each in given}) < len(given):
+        raise SpaceError(f"{name}: got {shown(given)}; allowed: choices that differ")
+    return Choice(name, tuple(given))
+
+
+def _number_of(value: Any) -> float | None:
+    """A number, also one of NumPy; None for anything else."""
+    return float(value) if isinstance(value, Real) and not isinstance(value, bool) else None

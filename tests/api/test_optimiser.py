@@ -1,0 +1,182 @@
+"""`bojax.minimise`, `bojax.maximise` and `bojax.Optimiser`: plain functions over mixed spaces."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bojax
+
+SPACE = {"rate": (1e-5, 1e5, "log"), "depth": (1, 8), "kind": ["b", "c", "a"]}
+"""One space for most tests, which share its programs."""
+
+COST = {"a": 0.0, "b": 1.0, "c": 0.3}
+
+
+def objective(rate, depth, kind):
+    """A function of minimum 0 at a rate of 100, a depth of 5 and kind a."""
+    return (math.log10(rate) - 2.0) ** 2 + abs(depth - 5) + COST[kind]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return bojax.minimise(objective, SPACE, budget=28, progress=False)
+
+
+def test_the_minimum_of_a_mixed_space_is_found(found):
+    assert found.best["depth"] == 5 and found.best["kind"] == "a"
+    assert found.best["rate"] == pytest.approx(100.0, rel=0.15)
+    assert found.value == objective(**found.best) == min(found.table["value"].to_pylist())
+    assert [type(found.best[name]) for name in SPACE] == [float, int, str]
+    assert len(found.evaluations) == found.table.num_rows == 28 and found.num_failed == 0
+
+
+def test_the_model_agrees_with_the_function(found):
+    points = [each.point for each in found.evaluations]
+    mean, std = found.predict(points)
+    np.testing.assert_allclose(mean, found.table["value"].to_numpy(), atol=0.05)
+    assert (std < 0.2).all()
+
+
+def test_numbers_of_the_model_have_64_bits_and_the_flag_of_the_user_stays(found):
+    del found
+    # The test process computes in float64; a user's does not.
+    with jax.enable_x64(False):
+        seen = []
+
+        def function(rate, depth, kind):
+            seen.append(jnp.ones(()).dtype)
+            return objective(rate, depth, kind)
+
+        result = bojax.minimise(function, SPACE, budget=3, progress=False)
+        assert result.predict([result.best])[0].dtype == np.float64
+        assert set(map(str, seen)) == {"float32"}
+
+
+def test_the_same_seed_gives_the_same_points_and_another_one_others():
+    def points(seed):
+        return bojax.minimise(objective, SPACE, budget=9, seed=seed, progress=False).table
+
+    assert points(3).equals(points(3)) and not points(3).equals(points(4))
+
+
+def test_maximising_is_minimising_the_negative():
+    least = bojax.minimise(objective, SPACE, budget=10, progress=False)
+    most = bojax.maximise(lambda **point: -objective(**point), SPACE, budget=10, progress=False)
+    assert most.best == least.best and most.value == -least.value
+
+
+def test_failures_are_not_learned_from_and_not_tried_again():
+    def function(rate, depth, kind):
+        return math.nan if kind == "a" else objective(rate, depth, kind)
+
+    result = bojax.minimise(function, SPACE, budget=14, progress=False)
+    tried = [tuple(each.point.values()) for each in result.evaluations]
+    assert result.num_failed > 0 and len(set(tried)) == len(tried)
+    assert result.best["kind"] != "a" and math.isfinite(result.value)
+
+
+def test_all_failures_are_a_result_without_a_best_point():
+    result = bojax.minimise(lambda **_: math.inf, SPACE, budget=3, progress=False)
+    assert result.best is None and result.value is None and result.num_failed == 3
+    for use in (result.plot, lambda: result.predict([])):
+        with pytest.raises(ValueError, match="no evaluation has succeeded"):
+            use()
+
+
+def test_an_error_of_the_function_is_told_with_its_point_and_what_was_found():
+    def function(rate, depth, kind):
+        if calls.append(depth) or len(calls) == 3:
+            raise KeyError("gone")
+        return objective(rate, depth, kind)
+
+    calls = []
+    with pytest.raises(bojax.ObjectiveError, match="the function raised KeyError: 'gone' at rate=") as caught:
+        bojax.minimise(function, SPACE, budget=5, progress=False)
+    assert len(caught.value.result.evaluations) == 2 and isinstance(caught.value.__cause__, KeyError)
+
+
+def test_ctrl_c_keeps_what_was_found(capsys):
+    def function(rate, depth, kind):
+        if calls.append(depth) or len(calls) == 3:
+            raise KeyboardInterrupt
+        return objective(rate, depth, kind)
+
+    calls = []
+    assert len(bojax.minimise(function, SPACE, budget=5).evaluations) == 2
+    assert "stopped after 2 evaluations" in capsys.readouterr().err
+
+
+def test_a_batch_is_evaluated_by_an_executor_and_known_points_count():
+    known = [({"rate": 100.0, "depth": 5, "kind": "a"}, 0.0)]
+    with ThreadPoolExecutor(3) as pool:
+        result = bojax.minimise(
+            objective, SPACE, budget=7, batch=3, known=known, workers=pool.map, progress=False
+        )
+    assert len(result.evaluations) == 8 and result.best == known[0][0]
+    assert len({tuple(each.point.values()) for each in result.evaluations}) == 8
+
+
+def test_a_small_space_is_tried_once():
+    tried = []
+    result = bojax.maximise(
+        lambda x: tried.append(x) or -abs(x - 3), {"x": (1, 5)}, budget=20, progress=False
+    )
+    assert sorted(tried) == [1, 2, 3, 4, 5] and result.best == {"x": 3}
+
+
+@pytest.mark.parametrize("maximise", [False, True])
+def test_a_noisy_function_has_the_point_of_the_best_mean(maximise):
+    random, sign = np.random.default_rng(0), -1.0 if maximise else 1.0
+    optimise = bojax.maximise if maximise else bojax.minimise
+
+    def noisy(x):
+        return sign * (x - 0.3) ** 2 + 0.1 * random.standard_normal()
+
+    result = optimise(noisy, {"x": (-1.0, 1.0)}, budget=24, noisy=True, progress=False)
+    assert abs(result.best["x"] - 0.3) < 0.25
+    assert abs(result.value) < 0.1
+
+
+def test_step_by_step_with_points_of_ones_own_and_more_than_the_capacity():
+    optimiser = bojax.Optimiser({"x": (-1.0, 1.0)}, noisy=True)
+    assert optimiser.ask() == optimiser.ask()
+    random = np.random.default_rng(1)
+    points = [{"x": x} for x in random.uniform(-1.0, 1.0, 40)]  # above `LEAST_CAPACITY`
+    optimiser.tell_batch(points, [point["x"] ** 2 for point in points])
+    optimiser.tell(optimiser.ask(), 0.0)
+    result = optimiser.result()
+    assert len(result.evaluations) == 41
+    mean, _ = result.predict([{"x": 0.5}])
+    assert mean[0] == pytest.approx(0.25, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda: bojax.minimise(3, SPACE), "function: got 3"),
+        (lambda: bojax.minimise(objective, {"x": (1, 0)}), "x: got 1 and 0"),
+        (lambda: bojax.minimise(objective, SPACE, budget=0), "budget: got 0; allowed: an integer >= 1"),
+        (lambda: bojax.minimise(objective, SPACE, batch=0), "batch: got 0"),
+        (lambda: bojax.minimise(objective, SPACE, initial=0.5), "initial: got 0.5"),
+        (lambda: bojax.minimise(objective, SPACE, known=[({"rate": 1.0}, 0.0)]), "a value for each of rate"),
+        (
+            lambda: bojax.minimise(objective, SPACE, known=[({"rate": 1.0, "depth": 0, "kind": "a"}, 0.0)]),
+            "depth: got 0; allowed: an integer from 1 to 8",
+        ),
+        (lambda: bojax.minimise(lambda **_: "low", SPACE, progress=False), 'value: got "low"'),
+        (lambda: bojax.Optimiser(SPACE).ask_batch(2), "number: got 2; allowed: from 1 to 1"),
+    ],
+)
+def test_wrong_arguments_end_in_one_line(use, message):
+    with pytest.raises(ValueError, match="got") as caught:
+        use()
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_figure_has_a_panel_for_the_progress_and_for_each_axis(found):
+    picture = found.plot()
+    assert len(picture.figure.axes) == 4 and picture.png.startswith(b"\x89PNG")
