@@ -59,6 +59,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
             if code not in (0, 1):
                 return code
             write(out, multiverse)
+    write(out, multiverse)  # also with a new title and reading
     from bojax.claims.multiverse.page import write_page
 
     if missing := len(multiverse.configurations) - len(multiverse.done):
