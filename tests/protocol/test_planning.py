@@ -30,4 +30,5 @@ def test_a_problem_is_planned_on(kind, check):
 
 
 def scores(episode, carry):
-    return episode.summary(carry)
+    # The coarse grid of the tiny map has no point between props, where `gap_height` is null.
+    return {name: score for name, score in episode.summary(carry).items() if name != "gap_height"}
