@@ -50,7 +50,7 @@ class Case:
 
         carry = self.experiment.init(self.key(run))
         carry, _ = jax.lax.scan(advance, carry, length=self.experiment.max_advances)
-        return jnp.nan_to_num(carry.paths)
+        return jnp.nan_to_num(carry.record.paths)
 
 
 def main(argv: list[str]) -> int:

@@ -10,11 +10,12 @@ from jaxtyping import Array, Key
 from bojax.config.component import Component, Slot
 from bojax.motions.base import DiscreteMotions
 from bojax.motions.settings import Splines
-from bojax.planning.base import Plan, Planner
-from bojax.problems.base import Belief, Problem
+from bojax.planning.base import PathPlanner, Plan
+from bojax.problems.base import Belief
+from bojax.problems.path_problem import PathProblem
 
 
-class Greedy(Planner):
+class Greedy(PathPlanner):
     """Exhaustive search over a set of actions, one step ahead."""
 
     motions: DiscreteMotions
@@ -24,7 +25,7 @@ class Greedy(Planner):
 
         motions: Annotated[Component, Slot("motions", only=Splines)] = Splines()
 
-    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+    def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:
         """The path to drive from `belief`, in the robot's frame."""
         paths = self.motions.paths()
         root, node = problem.root(belief, horizon=1)

@@ -34,6 +34,7 @@ TINY: dict[str, Any] = {
     "num_features": 8,
     "num_heads": 2,
     "num_outputs": 3,
+    "num_particles": 8,
     "num_rollout_paths": 3,
     "num_samples": 3,
     "path_steps": 40,

@@ -6,11 +6,11 @@ import pydantic
 from pydantic import Field
 from typing_extensions import override
 
-from bojax.config.component import Component, External, Slot
+from bojax.config.component import Component, External, Slot, registry
 from bojax.learning.settings import Constant, Exploit, UntilTarget
 from bojax.motions.settings import KernelTrajectories
-from bojax.planning.settings import KCBTS, POMCPOW
-from bojax.problems.pomdp.settings import VdpTag
+from bojax.planning.settings import KCBTS, BeliefPlannerSettings
+from bojax.problems.pomdp.settings import StateProblemSettings
 from bojax.problems.settings import FieldProblem, Parking
 
 
@@ -33,6 +33,19 @@ class Planning(ExperimentSettings, frozen=True):
     planner: Annotated[Component, Slot("planner")] = Field(
         default=KCBTS(), description="planner, which knows the problem's model and observes the world"
     )
+
+    @pydantic.model_validator(mode="after")
+    def _actions_of_the_problem(self) -> "Planning":
+        is_known = not isinstance(self.problem, External) and not isinstance(self.planner, External)
+        has_particles = isinstance(self.problem, StateProblemSettings)
+        if is_known and has_particles != isinstance(self.planner, BeliefPlannerSettings):
+            planners = registry["planner"].items()
+            fitting = [n for n, s in planners if issubclass(s, BeliefPlannerSettings) == has_particles]
+            raise ValueError(
+                f"planner: got {self.planner.label}; the actions of {self.problem.label} are "
+                f"{'vectors' if has_particles else 'paths'}; allowed: {', '.join(fitting)}"
+            )
+        return self
 
     @pydantic.model_validator(mode="after")
     def _objective_of_a_field(self) -> "Planning":
@@ -106,31 +119,6 @@ class Learning(ExperimentSettings, frozen=True):
     @override
     def label(self) -> str:
         return self.learner.label
-
-
-class BeliefPlanning(ExperimentSettings, frozen=True):
-    """One episode of a planner on a state problem, with a belief of particles."""
-
-    target: ClassVar[str] = "bojax.experiments.belief_planning:BeliefEpisode"
-    kind: Literal["belief-planning"] = "belief-planning"
-    dtype: Literal["float64", "float32"] = Field(default="float32", description="floating-point precision")
-    problem: Annotated[Component, Slot("state-problem")] = Field(
-        default=VdpTag(), description="problem, given by its model for one state"
-    )
-    planner: Annotated[Component, Slot("belief-planner")] = Field(
-        default=POMCPOW(), description="planner, which knows the problem's model and the belief"
-    )
-    num_particles: int = Field(default=10_000, ge=1, description="particles of the belief between plans")
-    belief_update: Literal["bootstrap", "light-dark"] = Field(
-        default="bootstrap",
-        description="filter of the belief: the bootstrap filter, or the published one of Light Dark, which "
-        "replaces particles",
-    )
-
-    @property
-    @override
-    def label(self) -> str:
-        return self.planner.label
 
 
 class Trajectories(ExperimentSettings, frozen=True):

@@ -16,12 +16,14 @@ from typing_extensions import override
 from bojax.numerics.choices import Choice
 from bojax.numerics.lanes import any_lane, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
+from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
-from bojax.planning.leaf_values import LeafValue, Policy
+from bojax.planning.leaf_values import LeafValue, Policy, StateValue
 from bojax.planning.oracles import policy_named
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT, write_row
 from bojax.problems.actions import Discrete
+from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
@@ -29,26 +31,26 @@ RECOMMENDATIONS = "value", "visits"
 """Rules by which a search recommends an action: the highest value, or the most visits."""
 
 
-class BeliefPlan(eqx.Module):
-    """The next action, and the planner's predictions for it.
-
-    Attributes:
-        action: The action.
-        value: Mean simulated return of action sequences that start with it.
-        visits: Number of simulations that start with it.
-    """
-
-    action: Float[Array, "K"]
-    value: Float[Array, ""]
-    visits: Int[Array, ""]
-
-
-class BeliefPlanner(eqx.Module):
+class BeliefPlanner(Planner):
     """A planner on a belief of particles."""
 
-    @abc.abstractmethod
-    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
-        """The next action for a belief."""
+    @override
+    def check(self, problem: Problem) -> None:
+        super().check(problem)
+        if not isinstance(problem, StateProblem):
+            name = type(problem).__name__
+            raise ValueError(f"planner: {type(self).__name__} plans on particles, which {name} does not have")
+        try:
+            jax.eval_shape(self._plan_once, problem)
+        except (AttributeError, TypeError, IndexError) as error:
+            raise ValueError(
+                f"planner: does not fit the problem: {error}; allowed: policies and proposals for its actions"
+            ) from error
+
+    def _plan_once(self, problem: StateProblem) -> Plan:
+        key_world, key_prior, key_plan = jax.random.split(jax.random.key(0), 3)
+        belief = problem.prior(key_prior, problem.reset(key_world), self.num_samples)
+        return self.plan(key_plan, problem, belief)
 
 
 class PolicyPlanner(BeliefPlanner):
@@ -61,9 +63,9 @@ class PolicyPlanner(BeliefPlanner):
     policy: Policy = eqx.field(static=True, converter=policy_named)
 
     @override
-    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
+    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
         action = self.policy(problem, key, belief)
-        return BeliefPlan(action, jnp.full_like(problem.discount, jnp.nan), jnp.zeros((), jnp.int32))
+        return Plan(action, None, jnp.full_like(problem.discount, jnp.nan), jnp.zeros((), jnp.int32))
 
 
 class Expansion(eqx.Module):
@@ -119,6 +121,14 @@ class BeliefSearch(BeliefPlanner):
     max_actions: eqx.AbstractVar[int]
     max_branches: eqx.AbstractVar[int]
 
+    @override
+    def check(self, problem: Problem) -> None:
+        if isinstance(problem, StateProblem) and isinstance(self.leaf_value, StateValue):
+            key = jax.random.key(0)
+            if jax.eval_shape(lambda: problem.heuristic_value(problem.initial(key))) is None:
+                raise ValueError("planner.leaf_value: got state-value; the problem has no values of states")
+        super().check(problem)
+
     @abc.abstractmethod
     def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Belief:
         """What the tree stores for the root."""
@@ -163,12 +173,13 @@ class BeliefSearch(BeliefPlanner):
         """States to estimate a leaf value from at `node`, as in `Expansion`, where the horizon is reached."""
 
     @override
-    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefPlan:
+    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
         tree = self.search(key, problem, belief)
         values, visits = tree.mean_returns(jnp.asarray(ROOT, jnp.int32)), tree.totals[ROOT, :, 0]
         slot = jnp.argmax(jnp.where(self.recommendation.is_("value"), values, visits))
         parameters = tree.parameters[tree.children[ROOT, slot]]
-        return BeliefPlan(problem.actions.decode(parameters), values[slot], visits[slot].astype(jnp.int32))
+        action = problem.actions.decode(parameters)
+        return Plan(action, None, values[slot], visits[slot].astype(jnp.int32))
 
     def search(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefTree:
         """The tree after all iterations."""

@@ -6,11 +6,12 @@ from jaxtyping import Array, Key
 from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions
-from bojax.planning.base import Plan, Planner
-from bojax.problems.base import Belief, Objective, Problem
+from bojax.planning.base import PathPlanner, Plan
+from bojax.problems.base import Belief, Objective
+from bojax.problems.path_problem import PathProblem
 
 
-class MyopicPlanner(Planner[DiscreteMotions]):
+class MyopicPlanner(PathPlanner[DiscreteMotions]):
     """The path of a finite set with the highest simulated reward (3.3); the first in case of a tie.
 
     Settings: `bojax.planning.settings.Myopic` and `Explorer`.
@@ -20,7 +21,7 @@ class MyopicPlanner(Planner[DiscreteMotions]):
     objective: Objective = None
 
     @override
-    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+    def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:
         paths = self.motions.paths()
         root, node = problem.root(belief, 1)
 
@@ -30,5 +31,5 @@ class MyopicPlanner(Planner[DiscreteMotions]):
         rewards = jax.vmap(reward)(jax.random.split(key, paths.shape[0]), paths)
         best = jnp.argmax(rewards)
         return Plan(
-            path=paths[best], reward=rewards[best], value=rewards[best], visits=jnp.ones((), jnp.int32)
+            action=paths[best], reward=rewards[best], value=rewards[best], visits=jnp.ones((), jnp.int32)
         )

@@ -6,11 +6,12 @@ from jaxtyping import Array, Key
 from typing_extensions import override
 
 from bojax.motions.base import Motions
-from bojax.planning.base import Plan, Planner
-from bojax.problems.base import Belief, Problem
+from bojax.planning.base import PathPlanner, Plan
+from bojax.problems.base import Belief
+from bojax.problems.path_problem import PathProblem
 
 
-class RandomPlanner(Planner[Motions]):
+class RandomPlanner(PathPlanner[Motions]):
     """A path drawn uniformly from a family of trajectories.
 
     Settings: `bojax.planning.settings.Random`.
@@ -19,10 +20,10 @@ class RandomPlanner(Planner[Motions]):
     motions: Motions
 
     @override
-    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+    def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:
         # One simulation of the path predicts its reward.
         key_path, key_simulate = jax.random.split(key)
         path = self.motions.sample(key_path)
         root, node = problem.root(belief, 1)
         reward = problem.simulate(key_simulate, root, node, path[None], None).rewards[0]
-        return Plan(path=path, reward=reward, value=reward, visits=jnp.ones((), jnp.int32))
+        return Plan(action=path, reward=reward, value=reward, visits=jnp.ones((), jnp.int32))

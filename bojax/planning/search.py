@@ -11,9 +11,10 @@ from typing_extensions import override
 
 from bojax.motions.base import Path
 from bojax.numerics.lanes import batched_together
-from bojax.planning.base import M, Plan, Planner
+from bojax.planning.base import M, PathPlanner, Plan
 from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree
-from bojax.problems.base import Belief, Objective, Problem, Root, Simulation
+from bojax.problems.base import Belief, Objective
+from bojax.problems.path_problem import PathProblem, Root, Simulation
 
 Memory = TypeVar("Memory", bound=eqx.Module)
 """What a planner stores for every node to choose actions there: node models, stencils."""
@@ -42,13 +43,13 @@ class Proposal(eqx.Module, Generic[Update]):
     update: Update
 
 
-class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
+class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
     """The tree search that all tree planners share; a planner defines how a node chooses its actions.
 
     An iteration descends from the root as long as `select` returns a child. At the first node where it does
     not, the search adds the action of `propose`, simulates that action and a random rollout to the horizon by
-    one call of `Problem.simulate`, and backs up: every action on the way is credited with its own reward and
-    all later ones. Depth counts actions. Terminal nodes are not expanded.
+    one call of `PathProblem.simulate`, and backs up: every action on the way is credited with its own reward
+    and all later ones. Depth counts actions. Terminal nodes are not expanded.
 
     Deviation: Algorithms 2 and 4, as printed, back up only the reward of the rollout.
     """
@@ -104,17 +105,17 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         """The path of the action that leads to `child`."""
 
     @override
-    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+    def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:
         tree, memory = self.search(key, problem, belief)
         child = self.recommend(tree, memory)
         return Plan(
-            path=self.path_of(memory, child),
+            action=self.path_of(memory, child),
             reward=tree.reward[child],
             value=tree.mean_return(child),
             visits=tree.visits[child].astype(jnp.int32),
         )
 
-    def search(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> tuple[Tree, Memory]:
+    def search(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> tuple[Tree, Memory]:
         """The tree and the planner's memory after all iterations."""
         dtype = self.discount.dtype
         key_begin, key_simulate = jax.random.split(key)
@@ -145,7 +146,7 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
 
     def _iterate(
         self,
-        problem: Problem,
+        problem: PathProblem,
         root: Root,
         tree: Tree,
         memory: Memory,

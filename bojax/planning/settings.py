@@ -167,12 +167,8 @@ class Random(PlannerSettings, frozen=True):
     motions: Annotated[Component, Slot("motions"), _Family] = Splines()
 
 
-class BeliefPlannerSettings(Component, frozen=True):
+class BeliefPlannerSettings(PlannerSettings, frozen=True):
     """A planner on a belief of particles."""
-
-    role: ClassVar[str] = "belief-planner"
-    plural: ClassVar[str] = "planners on beliefs of particles"
-    protocol: ClassVar[str] = "bojax.planning.belief_search:BeliefPlanner"
 
 
 class Widening(Component, frozen=True):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from bojax.problems.base import Node
+from bojax.problems.path_problem import Node
 
 ROOT = 0  # index of the root node
 UNVISITED = -1  # marks an action that has not been simulated

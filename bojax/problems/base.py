@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Key, Scalar
 
-from bojax.motions.base import Path, Pose
 from bojax.results.outline import Outline
 from bojax.results.schema import Column, Table
 
@@ -16,77 +15,62 @@ World = Any
 Belief = Any
 """Belief of the planner."""
 
-Node = Any
-"""Belief at a node of the search tree: a tree of arrays that the search stores for every node."""
-
-Root = Any
-"""Data shared by all nodes of a plan, computed once per plan, such as the factored posterior of a field."""
+Action = Float[Array, "..."]
+"""An action: a vector of the space of a state problem, or a path `[S, 3]` of a robot."""
 
 Observation = Any
-"""Observation after the execution of a path."""
+"""Observation after an action."""
+
+Record = Any
+"""Arrays that a problem keeps during an episode, as a tree."""
 
 Objective = Any
 """Objective that a planner maximises; None for the problem's own task."""
 
 
 class Events(eqx.Module):
-    """Outcome of the execution of a path in the world.
+    """Outcome of an action in the world.
 
     Attributes:
-        reward: Part of the reward that depends on the world; `Problem.reward` adds the part that depends on
+        reward: Part of the reward that depends on the world; `Problem.reward` may add a part that depends on
             the belief.
         terminated: Whether the episode has ended.
-        success: Whether the task is solved.
-        exited: Whether the robot left the domain.
-        driven: Poses of the robot in the world frame; past the pose at which it stopped, that pose is
-            repeated.
-        is_driven: Whether the robot reached each pose of the path.
-        frames: Generalised positions during the motion, for an animation; None if there is nothing to
-            animate.
         failed: Whether the simulation has diverged, which ends the run as failed; None if it cannot diverge.
     """
 
-    reward: Float[Array, ""]
-    terminated: Bool[Array, ""]
-    success: Bool[Array, ""]
-    exited: Bool[Array, ""]
-    driven: Float[Array, "S 3"]
-    is_driven: Bool[Array, "S"]
-    frames: Float[Array, "F Q"] | None = None
-    failed: Bool[Array, ""] | None = None
-
-
-class Simulation(eqx.Module):
-    """Result of simulating an action sequence from a node of the search tree.
-
-    Attributes:
-        node: Belief after the first action.
-        rewards: Reward of each action.
-        terminated: Whether the episode ends with each action; later actions are ignored.
-    """
-
-    node: Node
-    rewards: Float[Array, "H"]
-    terminated: Bool[Array, "H"]
+    reward: eqx.AbstractVar[Float[Array, ""]]
+    terminated: eqx.AbstractVar[Bool[Array, ""]]
+    failed: eqx.AbstractVar[Bool[Array, ""] | None]
 
 
 class Problem(eqx.Module):
-    """A partially observable planning problem with paths of a robot as actions.
+    """A partially observable planning problem: the world, the belief about it, and what is recorded.
 
-    Paths are given in the robot's frame; the problem transforms them to the world frame. `simulate` takes a
-    whole action sequence, so that a problem can evaluate a node and its rollout at once.
+    Actions are arrays. There are two kinds of problem: the actions of a `PathProblem` are paths of a robot;
+    a `StateProblem` declares a space of vectors, and is given by a model for one state.
 
     Attributes:
         max_steps: Actions per episode.
-        scores: Columns of `runs.parquet` that `score` computes.
+        samples_belief: Whether the belief is drawn from the planner's random numbers, as particles are;
+            otherwise it depends on measurements of the world alone.
         lanes_on_cpu: Default number of lanes on a core of a CPU, see `Experiment`.
     """
 
     max_steps: eqx.AbstractVar[int]
-    scores: ClassVar[Table] = ()
+    samples_belief: ClassVar[bool] = False
     # Measured on one core on the parking problem, in milliseconds per plan: kCBTS 6.8 with 4 lanes, 4.3
     # with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
     lanes_on_cpu: ClassVar[int] = 16
+
+    @property
+    @abc.abstractmethod
+    def run_columns(self) -> Table:
+        """Columns of `runs.parquet`: any of `RUN_COLUMNS`, and those of `summary`."""
+
+    @property
+    @abc.abstractmethod
+    def step_columns(self) -> Table:
+        """Columns of `steps.parquet`: any of `STEP_COLUMNS`, and those of `row`."""
 
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> World:
@@ -94,59 +78,73 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def prior(self, key: Key[Array, ""], world: World, num_samples: int) -> Belief:
-        """Initial belief; a path yields at most `num_samples` observations."""
+        """Initial belief; an action yields at most `num_samples` observations."""
 
     @abc.abstractmethod
-    def execute(self, key: Key[Array, ""], world: World, path: Path) -> tuple[World, Observation, Events]:
-        """Execute a path in the world."""
+    def execute(self, key: Key[Array, ""], world: World, action: Action) -> tuple[World, Observation, Events]:
+        """Execute an action in the world."""
 
     @abc.abstractmethod
-    def update(self, belief: Belief, path: Path, observation: Observation) -> Belief:
-        """The belief after an observation."""
+    def update(
+        self, belief: Belief, action: Action, observation: Observation, key: Key[Array, ""] | None = None
+    ) -> Belief:
+        """The belief after an observation; `key` is None unless the problem `samples_belief`."""
+
+    @property
+    def return_discount(self) -> Float[Array, ""] | None:
+        """Discount per step of `discounted_return`; None if the problem has no discount."""
+        return None
+
+    def reward(self, objective: Objective, belief: Belief, action: Action, events: Any) -> Scalar:
+        """Reward of an action; `belief` is the belief before its execution."""
+        return events.reward
 
     @abc.abstractmethod
-    def reward(self, objective: Objective, belief: Belief, path: Path, events: Events) -> Scalar:
-        """Reward of a path; `belief` is the belief before its execution."""
+    def row(self, world: World) -> dict[str, Scalar]:
+        """What `steps.parquet` says about the world after an action; at least one number."""
 
     @abc.abstractmethod
-    def root(self, belief: Belief, horizon: int) -> tuple[Root, Node]:
-        """The data shared by the nodes of a plan, and the root node."""
+    def summary(self, record: Record, world: World, belief: Belief) -> dict[str, Scalar]:
+        """What `runs.parquet` says about an episode, beside `RUN_COLUMNS`."""
 
-    @abc.abstractmethod
-    def simulate(
-        self, key: Key[Array, ""], root: Root, node: Node, paths: Float[Array, "H S 3"], objective: Objective
-    ) -> Simulation:
-        """Simulate an action sequence from a node of the search tree."""
+    def begin_record(self, world: World, num_samples: int) -> Record:
+        """The record before the first action, of `max_steps` actions; None if nothing is recorded."""
+        return None
 
-    @abc.abstractmethod
-    def pose(self, world: World) -> Pose:
-        """True pose of the robot."""
+    def record(self, record: Record, step: Scalar, action: Action, events: Any) -> Record:
+        """The record after action number `step`, counted from 0."""
+        return record
+
+    def arrays(self, record: Record, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
+        """Arrays saved at the end of a recorded episode: `{name: {array name: array}}`."""
+        return {}
 
     def outline(self) -> Outline | None:
         """The world as figures and films draw it; None if its settings class has it, or nothing is drawn."""
         return None
 
-    @property
-    def turning_radius(self) -> float:
-        """Smallest radius of a curve that the robot can follow, in metres."""
-        return 0.0
 
-    @property
-    def reach(self) -> float:
-        """Length of the longest path that the robot can complete, in metres."""
-        return float("inf")
-
-    def snapshot(self, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
-        """Arrays recorded at the end of an episode: `{name: {array name: array}}`."""
-        return {}
-
-    def score(self, world: World, belief: Belief) -> dict[str, Scalar]:
-        """Scores of the final belief, one per column of `scores`."""
-        return {}
-
-
-POSE_COLUMNS: Table = (
-    Column("x", "float64", "m", "true position after the step"),
-    Column("y", "float64", "m", "true position after the step"),
-    Column("heading", "float64", "rad", "true heading after the step, in [0, 2 pi)"),
+RETURN = Column("return", "float64", "", "sum of the task's rewards")
+DISCOUNTED_RETURN = Column(
+    "discounted_return", "float64", "", "sum of the task's rewards, each discounted by its step"
 )
+STEPS = Column("steps", "int32", "", "actions taken")
+
+RUN_COLUMNS: Table = (RETURN, DISCOUNTED_RETURN, STEPS)
+"""Columns of `runs.parquet` that the experiment fills in."""
+
+STEP = Column("step", "int32", "", "number of the action, from 1")
+REWARD = Column("reward", "float64", "", "the task's reward")
+PLANNED_REWARD = Column("planned_reward", "float64", "", "reward that the planner expected of the action")
+PLANNED_VALUE = Column(
+    "planned_value",
+    "float64",
+    "",
+    "discounted return that the planner expected of the action; null of a policy",
+    nullable=True,
+)
+ACCUMULATED_REWARD = Column("accumulated_reward", "float64", "", "sum of the task's rewards so far")
+DONE = Column("done", "bool", "", "the episode ended with this action")
+
+STEP_COLUMNS: Table = (STEP, REWARD, PLANNED_REWARD, PLANNED_VALUE, ACCUMULATED_REWARD, DONE)
+"""Columns of `steps.parquet` that the experiment fills in."""

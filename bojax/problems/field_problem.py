@@ -19,11 +19,11 @@ from bojax.models.means import Mean
 from bojax.motions.base import Path, Pose
 from bojax.numerics.lanes import any_lane
 from bojax.problems.arena import Arena
-from bojax.problems.base import Events, Problem, Simulation
 from bojax.problems.field_belief import FieldBelief, Samples
 from bojax.problems.field_errors import ERROR_COLUMNS, Weighting, field_errors
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
 from bojax.problems.objectives import FieldObjective
+from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.sensors import PointSensor, Sensor
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 from bojax.problems.walls import Boxes
@@ -58,7 +58,7 @@ class FieldWorld(eqx.Module):
     gradient: Float[Array, ""]
 
 
-class FieldProblem(Problem):
+class FieldProblem(PathProblem):
     """Learn a field from noisy samples along trajectories; subclasses define the scores of the final belief.
 
     The reward of a path is the sum of the rewards of its samples, under the belief before the path (3.2,
@@ -144,11 +144,11 @@ class FieldProblem(Problem):
 
     @override
     def execute(
-        self, key: Key[Array, ""], world: FieldWorld, path: Path
-    ) -> tuple[FieldWorld, Samples, Events]:
+        self, key: Key[Array, ""], world: FieldWorld, action: Path
+    ) -> tuple[FieldWorld, Samples, PathEvents]:
         """Drive a path and take its samples."""
         arena = self.arena
-        driven = arena.drive(self.vehicle.estimate(world.vehicle), path)
+        driven = arena.drive(self.vehicle.estimate(world.vehicle), action)
         # x and y are measured with the same deviation.
         noise = None if self.pose_noise is None else self.pose_noise[jnp.asarray([0, 0, 1])]
         tracked = self.vehicle.follow(
@@ -162,7 +162,7 @@ class FieldProblem(Problem):
             collisions=world.collisions + driven.collided.astype(jnp.int32),
             gradient=world.gradient + jnp.sum(jnp.where(driven.is_driven, slope, 0.0)),
         )
-        events = Events(
+        events = PathEvents(
             reward=arena.cost(driven),
             terminated=jnp.zeros((), bool),
             success=arena.reaches_target(driven),
@@ -176,7 +176,9 @@ class FieldProblem(Problem):
         return after, Samples(tracked.estimates[:, :2], values, driven.is_driven, pose), events
 
     @override
-    def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
+    def update(
+        self, belief: FieldBelief, action: Path, observation: Samples, key: Key[Array, ""] | None = None
+    ) -> FieldBelief:
         """The belief after the samples of a path, with updated hyper-parameters where they are due."""
         posterior = belief.posterior.extend(observation.points, observation.values, observation.is_taken)
         if self.relearn_every > 0:
@@ -196,7 +198,7 @@ class FieldProblem(Problem):
 
     @override
     def reward(
-        self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
+        self, objective: FieldObjective | None, belief: FieldBelief, action: Path, events: PathEvents
     ) -> Scalar:
         """Rewards of the samples taken, under the belief before the path, plus the cost of the path."""
         objective = self.objective if objective is None else objective

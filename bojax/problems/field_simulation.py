@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float, Key
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.motions.base import Pose
 from bojax.problems.arena import Arena
-from bojax.problems.base import Simulation
 from bojax.problems.objectives import FieldObjective
+from bojax.problems.path_problem import Simulation
 
 
 class FieldNode(eqx.Module):

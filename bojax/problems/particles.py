@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from bojax.problems.state_space import StateProblem
+from bojax.problems.state_model import StateModel
 
 
 class Particles(eqx.Module):
@@ -18,11 +18,13 @@ class Particles(eqx.Module):
         states: The states.
         log_weights: Logarithms of the weights, which sum to 1.
         terminal: Whether a state is terminal.
+        collapses: How often no particle explained an observation; None if it is not counted.
     """
 
     states: Float[Array, "M D"]
     log_weights: Float[Array, "M"]
     terminal: Bool[Array, "M"]
+    collapses: Int[Array, ""] | None = None
 
     @property
     def mean(self) -> Float[Array, "D"]:
@@ -48,14 +50,14 @@ class Particles(eqx.Module):
         return self.states[jax.random.categorical(key, self.log_weights)]
 
 
-def initial(problem: StateProblem, key: Key[Array, ""], num_particles: int) -> Particles:
+def initial(problem: StateModel, key: Key[Array, ""], num_particles: int) -> Particles:
     """The initial belief: particles of equal weight."""
     states = jax.vmap(problem.initial)(jax.random.split(key, num_particles))
     return Particles(states, _equal(states), jnp.zeros(num_particles, bool))
 
 
 def update(
-    problem: StateProblem,
+    problem: StateModel,
     key: Key[Array, ""],
     particles: Particles,
     action: Float[Array, "K"],
@@ -68,7 +70,7 @@ def update(
 
 
 def propagate(
-    problem: StateProblem, key: Key[Array, ""], particles: Particles, action: Float[Array, "K"]
+    problem: StateModel, key: Key[Array, ""], particles: Particles, action: Float[Array, "K"]
 ) -> tuple[Particles, Float[Array, "M"]]:
     """The particles after an action, each in its place and with its weight, and the reward of each."""
     keys = jax.random.split(key, particles.states.shape[0])
@@ -77,7 +79,7 @@ def propagate(
 
 
 def condition(
-    problem: StateProblem,
+    problem: StateModel,
     key: Key[Array, ""],
     before: Particles,
     action: Float[Array, "K"],

@@ -6,12 +6,13 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import Path, Pose, place
 from bojax.numerics.trial import Misfit, require, trial
-from bojax.problems.base import Events, Objective, Problem, Simulation
+from bojax.problems.base import Objective
+from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 
 
@@ -33,7 +34,7 @@ class Outcome(eqx.Module):
     last: Int[Array, ""]
 
 
-class PoseProblem(Problem):
+class PoseProblem(PathProblem):
     """A problem defined by its initial pose and the outcome of a path, which subclasses implement.
 
     The planner's model follows paths exactly. It observes the pose with Gaussian
@@ -68,21 +69,21 @@ class PoseProblem(Problem):
 
     @override
     def execute(
-        self, key: Key[Array, ""], world: VehicleState, path: Path
-    ) -> tuple[VehicleState, Pose, Events]:
+        self, key: Key[Array, ""], world: VehicleState, action: Path
+    ) -> tuple[VehicleState, Pose, PathEvents]:
         """Drive a path from the vehicle's estimate of its pose, and measure the final pose.
 
         The outcome is that of the true poses, whatever was measured. The last one is the pose at rest, which
         all recorded data end with.
         """
-        planned = place(path, self.vehicle.estimate(world))
+        planned = place(action, self.vehicle.estimate(world))
         tracked = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
         # A vehicle may pass the last pose of the path before it rests.
         poses = tracked.poses.at[-1].set(self.pose(tracked.state))
         outcome = self.outcome(self.pose(world), poses)
         state, last = self.vehicle.stopped_at(replace(tracked, poses=poses), outcome.last)
         index = jnp.arange(planned.shape[0], dtype=last.dtype)
-        events = Events(
+        events = PathEvents(
             reward=outcome.reward,
             terminated=outcome.terminated,
             success=outcome.success,
@@ -95,13 +96,11 @@ class PoseProblem(Problem):
         return state, self.vehicle.measure(key, state, self._noise), events
 
     @override
-    def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
+    def update(
+        self, belief: Pose, action: Path, observation: Pose, key: Key[Array, ""] | None = None
+    ) -> Pose:
         """The last measurement."""
         return observation
-
-    @override
-    def reward(self, objective: Objective, belief: Pose, path: Path, events: Events) -> Scalar:
-        return events.reward
 
     @override
     def root(self, belief: Pose, horizon: int) -> tuple[None, Pose]:

@@ -1,66 +1,139 @@
-"""The protocol of a state problem: a continuous POMDP given by its generative model, for one particle."""
+"""State problems: continuous POMDPs given by a model for one state, with a belief of particles."""
 
-import abc
+from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Key
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key, Scalar
+from typing_extensions import override
 
-from bojax.problems.actions import ActionSpace
+from bojax.problems import particles
+from bojax.problems.base import (
+    ACCUMULATED_REWARD,
+    DISCOUNTED_RETURN,
+    DONE,
+    PLANNED_VALUE,
+    RETURN,
+    REWARD,
+    STEP,
+    STEPS,
+    Events,
+    Problem,
+)
+from bojax.problems.particles import Particles
+from bojax.problems.state_model import StateModel
+from bojax.results.schema import Column, Table
 
 
-class StateProblem(eqx.Module):
-    """A partially observable problem whose state, action and observation are vectors.
+class StateEvents(Events):
+    """Outcome of a step, see `Events`; a step cannot fail."""
 
-    Every method is written for one state and is a pure function of its arguments. A terminal state is never
-    stepped in the world; in a belief it may be, and must not give NaN.
+    reward: Float[Array, ""]
+    terminated: Bool[Array, ""]
+    failed: Bool[Array, ""] | None = None
+
+
+class Observed(eqx.Module):
+    """What is observed of a step.
 
     Attributes:
-        discount: Discount of the reward per step, in (0, 1].
-        max_steps: Actions per episode.
+        values: The observation.
+        terminated: Whether the episode has ended.
     """
 
-    discount: eqx.AbstractVar[Float[Array, ""]]
-    max_steps: eqx.AbstractVar[int]
+    values: Float[Array, "O"]
+    terminated: Bool[Array, ""]
 
-    @property
-    @abc.abstractmethod
-    def actions(self) -> ActionSpace:
-        """The actions, and how a planner parametrises them."""
 
-    @abc.abstractmethod
-    def initial(self, key: Key[Array, ""]) -> Float[Array, "D"]:
-        """A state drawn from the initial belief."""
+class StateProblem(StateModel, Problem):
+    """A planning problem whose world is a state of a model, and whose belief is a set of particles.
 
-    @abc.abstractmethod
-    def step(
-        self, key: Key[Array, ""], state: Float[Array, "D"], action: Float[Array, "K"]
-    ) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
-        """The next state, the reward, and whether the next state is terminal."""
+    A subclass defines the model: `actions`, `initial`, `step`, `observe` and `log_likelihood`.
 
-    @abc.abstractmethod
-    def observe(
+    Attributes:
+        num_particles: Particles of the belief between plans.
+    """
+
+    num_particles: int = eqx.field(static=True, default=10_000, kw_only=True)
+    samples_belief: ClassVar[bool] = True
+
+    def __check_init__(self):
+        """Check the number of particles, or raise ValueError."""
+        if self.num_particles < 1:
+            raise ValueError(f"num_particles: got {self.num_particles}; allowed: >= 1")
+
+    def filter(
         self,
         key: Key[Array, ""],
-        state: Float[Array, "D"],
+        belief: Particles,
         action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, "O"]:
-        """An observation after a step."""
-
-    @abc.abstractmethod
-    def log_likelihood(
-        self,
         observation: Float[Array, "O"],
-        state: Float[Array, "D"],
+    ) -> tuple[Particles, Bool[Array, ""]]:
+        """The belief after an action and an observation, and whether no particle explains the observation."""
+        return particles.update(self, key, belief, action, observation)
+
+    @override
+    def reset(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+        return self.initial(key)
+
+    @override
+    def prior(self, key: Key[Array, ""], world: Float[Array, "D"], num_samples: int) -> Particles:
+        """Draws from the initial belief, which do not depend on the world."""
+        drawn = particles.initial(self, key, self.num_particles)
+        return replace(drawn, collapses=jnp.zeros((), jnp.int32))
+
+    @override
+    def execute(
+        self, key: Key[Array, ""], world: Float[Array, "D"], action: Float[Array, "K"]
+    ) -> tuple[Float[Array, "D"], Observed, StateEvents]:
+        key_step, key_observe = jax.random.split(key)
+        after, reward, terminated = self.step(key_step, world, action)
+        values = self.observe(key_observe, world, action, after)
+        return after, Observed(values, terminated), StateEvents(reward, terminated)
+
+    @override
+    def update(
+        self,
+        belief: Particles,
         action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, ""]:
-        """Logarithm of the density, or of the probability, of an observation after a step."""
+        observation: Observed,
+        key: Key[Array, ""] | None = None,
+    ) -> Particles:
+        assert key is not None and belief.collapses is not None
+        after, collapsed = self.filter(key, belief, action, observation.values)
+        # No particle need explain the last observation of an episode.
+        counts = collapsed & ~observation.terminated
+        return replace(after, collapses=belief.collapses + counts.astype(jnp.int32))
 
-    def heuristic_value(self, state: Float[Array, "D"]) -> Float[Array, ""] | None:
-        """Value of a state if states were observed (MDP), as a leaf value; None if it is not known."""
-        return None
+    @property
+    @override
+    def return_discount(self) -> Float[Array, ""]:
+        return self.discount
 
-    def is_terminal(self, state: Float[Array, "D"]) -> Bool[Array, ""] | None:
-        """Whether a state is terminal; None if the state alone does not say so, but only `step`."""
-        return None
+    @property
+    @override
+    def run_columns(self) -> Table:
+        return (RETURN, DISCOUNTED_RETURN, STEPS, _COLLAPSES)
+
+    @property
+    @override
+    def step_columns(self) -> Table:
+        row = jax.eval_shape(lambda key: self.row(self.initial(key)), jax.random.key(0))
+        columns = (Column(name, "float64", "", "true state") for name in row)
+        return (STEP, REWARD, PLANNED_VALUE, ACCUMULATED_REWARD, DONE, *columns)
+
+    @override
+    def row(self, world: Float[Array, "D"]) -> dict[str, Scalar]:
+        return {f"state_{index}": value for index, value in enumerate(world)}
+
+    @override
+    def summary(self, record: None, world: Float[Array, "D"], belief: Particles) -> dict[str, Scalar]:
+        assert belief.collapses is not None
+        return {"collapses": belief.collapses}
+
+
+_COLLAPSES = Column(
+    "collapses", "int32", "", "times that no particle of the belief explained the observation"
+)

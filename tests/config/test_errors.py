@@ -29,7 +29,7 @@ plannr: sbo
 planner: {kind: random, depth: 3}
 => x.yaml: planner.depth: unknown key (a setting of kind=…sbo…); allowed: …
 {experiment: learning, planner: sbo}
-=> x.yaml: planner: unknown key (a setting of experiment=belief-planning, planning); allowed: …
+=> x.yaml: planner: unknown key (a setting of experiment=planning); allowed: …
 planner: kcbt
 => x.yaml: planner: got "kcbt"; unknown planner; allowed: …; did you mean "kcbts"?
 planner: {kind: sbo, motions: {kind: spline}}
@@ -37,7 +37,7 @@ planner: {kind: sbo, motions: {kind: spline}}
 experiment: plan
 => x.yaml: experiment: got "plan"; unknown experiment; allowed: …; did you mean "planning"?
 planner: [sbo]
-=> x.yaml: planner: got ["sbo"]; unknown planner; allowed: …random, sbo…
+=> x.yaml: planner: got ["sbo"]; unknown planner; allowed: sbo, …random…
 planner: {kind: sbo, depth: "3"}
 => x.yaml: planner.depth: got "3"; allowed: an integer
 planner: {kind: sbo, depth: 3.7}

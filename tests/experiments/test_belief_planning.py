@@ -16,17 +16,16 @@ from bojax.config.catalog import kinds
 from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_config
 from bojax.engine.build import build
-from bojax.experiments.belief_planning import BeliefEpisode
+from bojax.experiments.planning import PlanningEpisode
 from bojax.numerics.lanes import LANES
 from bojax.planning import oracles
 from bojax.planning.belief_search import PolicyPlanner
 from bojax.problems import particles
 from bojax.problems.actions import Box
-from bojax.problems.pomdp import light_dark_filter
 from bojax.problems.pomdp.sub_hunt_values import solve
 from bojax.problems.state_space import StateProblem
 
-SMALL = ["planner.iterations=12", "num_particles=64", "problem.max_steps=6", "planner.depth=4"]
+SMALL = ["planner.iterations=12", "problem.num_particles=64", "problem.max_steps=6", "planner.depth=4"]
 
 
 def experiment(name: str, *changes: str):
@@ -78,7 +77,7 @@ def test_a_finished_lane_keeps_its_state():
 def test_planners_face_the_same_initial_states():
     first = [advanced(experiment("vdp-tag", *planner), 3, 1)[1] for planner in ([], ["planner=pft-dpw"])]
     starts = [
-        np.asarray(jax.vmap(experiment("vdp-tag", *words).init)(jax.random.split(jax.random.key(0), 3)).state)
+        np.asarray(jax.vmap(experiment("vdp-tag", *words).init)(jax.random.split(jax.random.key(0), 3)).world)
         for words in ([], ["planner=pft-dpw"])
     ]
     np.testing.assert_array_equal(*starts)
@@ -140,8 +139,12 @@ def always(problem, key, belief):
     return jnp.ones(1)
 
 
-def never(problem, key, belief, action, observation):
-    return belief, jnp.zeros((), bool)
+class Unfiltered(Counter):
+    """A filter that ignores observations."""
+
+    @override
+    def filter(self, key, belief, action, observation):
+        return belief, jnp.zeros((), bool)
 
 
 @eqx.filter_jit
@@ -162,7 +165,7 @@ def summaries(run, keys):
     [(4.0, 4, 1), (6.0, 6, 3), (9.0, 6, 4), (1.0, 1, 0)],  # a collapse at the end counts for nothing
 )
 def test_an_episode_sums_and_counts(last, steps, collapsed):
-    run = BeliefEpisode(Counter(last=jnp.asarray(last)), PolicyPlanner(always), 8, "bootstrap")
+    run = PlanningEpisode(Counter(last=jnp.asarray(last), num_particles=8), PolicyPlanner(always))
     found = jax.tree.map(
         lambda each: np.asarray(each)[0], summaries(run, jax.random.split(jax.random.key(0), 1))
     )
@@ -172,23 +175,23 @@ def test_an_episode_sums_and_counts(last, steps, collapsed):
 
 
 def test_the_filter_of_an_episode_is_given():
-    run = BeliefEpisode(Counter(), PolicyPlanner(always), 8, never)
+    run = PlanningEpisode(Unfiltered(num_particles=8), PolicyPlanner(always))
     found = summaries(run, jax.random.split(jax.random.key(0), 1))
     assert (found["steps"][0], found["collapses"][0]) == (4, 0)
 
 
 def test_every_policy_has_a_name_in_the_settings():
-    schema = kinds("belief-planner")["policy"]
+    schema = kinds("planner")["policy"]
     for name, policy in oracles.POLICIES.items():
         assert build(schema(policy=name)).policy is policy
     assert set(oracles.POLICIES) == set(get_args(schema.model_fields["policy"].annotation))
 
 
 def test_the_published_filter_of_light_dark_replaces_particles():
-    problem = build(kinds("state-problem")["light-dark"]())
+    problem = build(kinds("problem")["light-dark"](belief_update="published"))
     belief = particles.initial(problem, jax.random.key(3), 1000)
     belief = dataclasses.replace(belief, states=jnp.full((1000, 1), 9.0))
-    update = jax.jit(lambda key, o: light_dark_filter.update(problem, key, belief, jnp.ones(1), o))
+    update = jax.jit(lambda key, o: problem.filter(key, belief, jnp.ones(1), o))
     for offset in (0.0, 1e-4, 4e-4, 1e-3):
         found, collapsed = update(jax.random.key(4), jnp.full(1, 10.0 + offset))
         assert not collapsed
@@ -219,11 +222,11 @@ PUBLISHED = {
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_policies_without_search_earn_what_is_published(name):
     kind, policy, (mean, error) = PUBLISHED[name]
-    problem = build(kinds("state-problem")[kind](), "float32")
+    settings = {"belief_update": "published"} if kind == "light-dark" else {}
+    problem = build(kinds("problem")[kind](**settings), "float32")
     if kind == "sub-hunt":
         problem = dataclasses.replace(problem, action_values=eqx.filter_jit(solve)(problem))
-    update = "light-dark" if kind == "light-dark" else "bootstrap"
-    run = BeliefEpisode(problem, PolicyPlanner(policy), 10_000, update)
+    run = PlanningEpisode(problem, PolicyPlanner(policy))
     found = [summaries(run, jax.random.split(jax.random.key(seed), 50)) for seed in range(20)]
     earned, collapsed = (
         np.concatenate([each[name] for each in found]) for name in ("discounted_return", "collapses")

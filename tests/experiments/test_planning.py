@@ -11,7 +11,7 @@ import pytest
 
 from bojax.experiments.planning import PlanningEpisode, PlanningState
 from bojax.motions.base import DiscreteMotions, tightest_radius
-from bojax.planning.base import Plan, Planner
+from bojax.planning.base import PathPlanner, Plan
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.problems.vehicles.base import Exact
@@ -55,7 +55,7 @@ class Stored(DiscreteMotions):
         return self.poses
 
 
-class Straight(Planner):
+class Straight(PathPlanner):
     """Always straight on, whatever the belief."""
 
     motions: eqx.Module
@@ -63,7 +63,7 @@ class Straight(Planner):
     def plan(self, key, problem, belief) -> Plan:
         del key, problem, belief
         zero = jnp.zeros((), self.motions.length.dtype)
-        return Plan(path=self.motions.paths()[0], reward=zero, value=zero, visits=jnp.ones((), jnp.int32))
+        return Plan(self.motions.paths()[0], reward=zero, value=zero, visits=jnp.ones((), jnp.int32))
 
 
 EXPERIMENTS = {
@@ -171,12 +171,12 @@ def test_success_and_exits_are_those_of_the_steps():
 
 def test_an_episode_ends_with_its_task_or_after_its_last_step():
     carries, table, _ = played("disc-straight")
-    success, steps = np.asarray(carries[-1].success), np.asarray(carries[-1].step)
+    success, steps = np.asarray(carries[-1].record.success), np.asarray(carries[-1].step)
     # From two metres away and heading for the centre: in the disc of 0.3 m with the second path.
     np.testing.assert_array_equal(steps, 2)
     assert np.all(success)
     carries, _, _ = played("disc")
-    success, steps = np.asarray(carries[-1].success), np.asarray(carries[-1].step)
+    success, steps = np.asarray(carries[-1].record.success), np.asarray(carries[-1].step)
     assert 0 < success.sum() < NUM_LANES
     np.testing.assert_array_equal(steps[~success], EXPERIMENTS["disc"].max_advances)
     assert np.all(np.asarray(carries[-1].is_done))
@@ -209,7 +209,7 @@ def test_what_the_planner_draws_does_not_depend_on_the_noise_of_the_world():
         PlanningEpisode(parking(position_noise=noise, heading_noise=noise), RandomPlanner(kernel()))
         for noise in (0.0, 0.5)
     )
-    one, other = (play(experiment, lanes_of())[0][-1].paths for experiment in (quiet, noisy))
+    one, other = (play(experiment, lanes_of())[0][-1].record.paths for experiment in (quiet, noisy))
     np.testing.assert_allclose(one, other, atol=1e-9)
     assert np.any(np.isfinite(one))
 
@@ -233,7 +233,7 @@ def test_no_two_draws_share_a_key(monkeypatch):
     def keys_of(disc, motions, key):
         experiment = PlanningEpisode(disc, Straight(motions))
         carry = experiment.init(key)
-        del keys[1]  # a drive is traced for its shapes there, and not made
+        del keys[2]  # a drive is traced for its shapes there, and not made
         for _ in range(3):
             carry, _ = experiment.advance(carry)
         return jnp.stack(keys)

@@ -13,8 +13,8 @@ from bojax.planning import oracles
 from bojax.problems.particles import Particles
 from tests.reference import state_problems as reference
 
-VDP = build(kinds("state-problem")["vdp-tag"]())
-LIGHT_DARK = build(kinds("state-problem")["light-dark"]())
+VDP = build(kinds("problem")["vdp-tag"]())
+LIGHT_DARK = build(kinds("problem")["light-dark"]())
 MOVES = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
 
@@ -95,7 +95,7 @@ def test_aside_first():
 
 
 def test_ping_first():
-    problem = build(kinds("state-problem")["sub-hunt"](size=5))
+    problem = build(kinds("problem")["sub-hunt"](size=5))
     table = jnp.zeros((5, 5, 5, 5, 4, 2, 6)).at[2, 2, 3, 3, 0, :, 5].set(1.0)
     problem = dataclasses.replace(problem, action_values=table)
     for aware, expected in ((0.0, 4.0), (1.0, 5.0)):
@@ -104,7 +104,7 @@ def test_ping_first():
 
 
 def test_slow_down():
-    problem = build(kinds("state-problem")["pomdp-lander"]())
+    problem = build(kinds("problem")["pomdp-lander"]())
     states = np.array([[0.0, 30.0, 0.0, 2.0, -10.0, 0.0], [0.0, 30.0, 0.0, 4.0, -20.0, 0.0]])
     np.testing.assert_allclose(
         oracles.slow_down(problem, jax.random.key(0), belief(states)), [-0.3, 1.5, 0.0]

@@ -1,4 +1,4 @@
-"""Every planner that discovery finds: its plans, their expected rewards, batches and hyper-parameters."""
+"""Every planner of paths: its plans, their expected rewards, batches and hyper-parameters."""
 
 import functools
 
@@ -13,6 +13,7 @@ from bojax.engine.build import build
 from bojax.planning.base import Plan
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.search import TreeSearch
+from bojax.planning.settings import BeliefPlannerSettings
 from tests.parts import first_kinds, tiny
 from tests.planning.samples import (
     FIELD_POSES,
@@ -46,6 +47,7 @@ def task(problem):
 PLANNERS = {
     kind: tiny("planner", kind, **{"iterations": 60} if "iterations" in schema.model_fields else {})
     for kind, schema in kinds("planner").items()
+    if not issubclass(schema, BeliefPlannerSettings)
 }
 
 
@@ -56,7 +58,9 @@ def takes(kind: str, problem: str) -> bool:
 
 CASES = [(kind, problem) for kind in PLANNERS for problem in PROBLEMS if takes(kind, problem)]
 
-FIRST = [next(case for case in CASES if case[0] == kind) for kind in first_kinds("planner")]
+FIRST = [
+    next(case for case in CASES if case[0] == kind) for kind in first_kinds("planner") if kind in PLANNERS
+]
 """One planner of each class, on parking, whose programs compile in half of the time.
 
 The other cases are slow: `test_field_reference` compares plans on a field with NumPy.

@@ -60,7 +60,7 @@ def test_moments_are_weighted():
     assert np.all(np.abs(np.mean(drawn, axis=0) - weights @ states) < 4.0 * error)
 
 
-LQG = build(kinds("state-problem")["lqg"](max_steps=10))
+LQG = build(kinds("problem")["lqg"](max_steps=10))
 
 
 def test_kalman_conditions_the_joint_gaussian():
@@ -96,7 +96,7 @@ def test_the_error_of_particles_falls_with_the_root_of_their_number():
                 belief, _ = particles.update(LQG, keys[2], belief, action, observation)
                 return (following, gaussian, belief), None
 
-            start = (LQG.initial(start_key), LQG.prior, particles.initial(LQG, belief_key, count))
+            start = (LQG.initial(start_key), LQG.gaussian_prior, particles.initial(LQG, belief_key, count))
             _, gaussian, belief = jax.lax.scan(advance, start, jnp.arange(2, dtype=jnp.uint32))[0]
             return belief.mean[:2] - gaussian.mean, belief.covariance[:2, :2] - gaussian.covariance
 
@@ -112,7 +112,7 @@ def test_the_error_of_particles_falls_with_the_root_of_their_number():
 
 
 def test_particles_follow_bayes():
-    tiger = build(kinds("state-problem")["tiger"]())
+    tiger = build(kinds("problem")["tiger"]())
     listen, left = jnp.zeros(1), jnp.zeros(1)
     belief = particles.initial(tiger, jax.random.key(7), 40_000)
     for step in range(2):
@@ -201,7 +201,7 @@ def assert_finite(belief):
 
 
 def test_one_belief_equals_its_lane_of_a_batch():
-    problem = build(kinds("state-problem")["vdp-tag"]())
+    problem = build(kinds("problem")["vdp-tag"]())
     action, observation = jnp.asarray([1.0, 1.0]), jnp.full(8, 1.5)
 
     def run(key):

@@ -21,7 +21,7 @@ SMALLEST_P = 1e-4
 
 
 def problem(kind, dtype="float64", **settings):
-    return build(kinds("state-problem")[kind](**settings), dtype)
+    return build(kinds("problem")[kind](**settings), dtype)
 
 
 CONTINUOUS = {
@@ -287,7 +287,7 @@ def test_kalman_and_riccati_reach_the_exact_cost_of_lqg():
     def costs(keys):
         def run(key):
             keys = jax.random.split(key, 5)
-            state, belief = each.initial(keys[0]), each.prior
+            state, belief = each.initial(keys[0]), each.gaussian_prior
             total = jnp.zeros(())
             for t in range(2):
                 action = -jnp.asarray(gains[t]) @ belief.mean

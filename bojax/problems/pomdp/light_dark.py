@@ -1,5 +1,7 @@
 """Light Dark on integers: localise in the light, then stop at 0 (Sunberg and Kochenderfer, ICAPS 2018)."""
 
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,8 +9,13 @@ from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
+from bojax.problems import particles
 from bojax.problems.actions import Discrete
+from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
+
+MAX_REPLACED = 0.05
+"""Largest share of particles that the published filter replaces after an observation."""
 
 
 class LightDark(StateProblem):
@@ -33,6 +40,9 @@ class LightDark(StateProblem):
     radius: int = eqx.field(static=True)
     start_radius: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+    belief_update: Literal["bootstrap", "published"] = eqx.field(
+        static=True, default="bootstrap", kw_only=True
+    )
     action_values: Float[Array, "S A"] | None = None
 
     def __post_init__(self) -> None:
@@ -85,6 +95,38 @@ class LightDark(StateProblem):
         next_state: Float[Array, "1"],
     ) -> Float[Array, ""]:
         return norm.logpdf(observation[0], next_state[0], self.noise_at(next_state)[0])
+
+    @override
+    def filter(
+        self,
+        key: Key[Array, ""],
+        belief: Particles,
+        action: Float[Array, "1"],
+        observation: Float[Array, "1"],
+    ) -> tuple[Particles, Bool[Array, ""]]:
+        """The bootstrap filter; in the published results, some particles are then replaced.
+
+        Up to `MAX_REPLACED` of the particles, at random, are replaced, fewer the nearer the largest
+        likelihood is to the density at the mode of an observation from `observation`. As in the published
+        code, a new particle is `observation` plus another observation from there, so that it is about twice
+        `observation`; this changes the returns.
+        """
+        if self.belief_update == "bootstrap":
+            return super().filter(key, belief, action, observation)
+        propagate_key, condition_key, choice_key, noise_key = jax.random.split(key, 4)
+        moved, _ = particles.propagate(self, propagate_key, belief, action)
+        after, collapsed = particles.condition(self, condition_key, belief, action, moved, observation)
+        likelihood = jax.vmap(self.log_likelihood, (None, 0, None, 0))
+        largest = jnp.max(likelihood(observation, belief.states, action, moved.states))
+        noise = self.noise_at(observation)
+        ratio = jnp.exp(largest - norm.logpdf(0.0, 0.0, noise[0]))
+        count = after.states.shape[0]
+        num_replaced = jnp.floor(MAX_REPLACED * jnp.maximum(0.0, 1.0 - ratio) * count)
+        chosen = jax.random.permutation(choice_key, jnp.arange(count, dtype=noise.dtype)) < num_replaced
+        drawn = 2.0 * observation[None] + noise[None] * jax.random.normal(noise_key, (count, 1), noise.dtype)
+        replaced = jnp.clip(jnp.round(drawn), -self.radius, self.radius)
+        states = jnp.where((chosen & ~collapsed)[:, None], replaced, after.states)
+        return Particles(states, after.log_weights, after.terminal), collapsed
 
     @override
     def heuristic_value(self, state: Float[Array, "1"]) -> Float[Array, ""]:

@@ -48,7 +48,7 @@ class Lqg(StateProblem):
         return LinearGaussian(self.transition, self.control, self.sensor, process, sensor)
 
     @property
-    def prior(self) -> Gaussian:
+    def gaussian_prior(self) -> Gaussian:
         """The initial belief of the position."""
         eye = jnp.eye(self.initial_mean.shape[0], dtype=self.discount.dtype)
         return Gaussian(self.initial_mean, self.initial_noise**2 * eye)

@@ -4,16 +4,25 @@ from math import sqrt
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
+from typing_extensions import override
 
-from bojax.config.component import Component
+from bojax.problems.settings import ProblemSettings
 
 
-class StateProblemSettings(Component, frozen=True):
+class StateProblemSettings(ProblemSettings, frozen=True):
     """A problem whose state, action and observation are vectors."""
 
-    role: ClassVar[str] = "state-problem"
-    plural: ClassVar[str] = "state problems"
-    protocol: ClassVar[str] = "bojax.problems.state_space:StateProblem"
+    num_particles: int = Field(default=10_000, ge=1, description="particles of the belief between plans")
+
+    @property
+    @override
+    def has_success(self) -> bool:
+        return False
+
+    @property
+    @override
+    def ends_at_success(self) -> bool:
+        return False
 
 
 _Discount = Annotated[float, Field(gt=0, le=1, description="discount of the reward per step")]
@@ -62,6 +71,10 @@ class LightDark(StateProblemSettings, frozen=True):
     least_noise: _Noise = Field(
         default=1e-4,
         description="standard deviation of an observation in the light; elsewhere, plus distance",
+    )
+    belief_update: Literal["bootstrap", "published"] = Field(
+        default="bootstrap",
+        description="filter: the bootstrap filter, or that of the published runs, which replaces particles",
     )
     radius: int = Field(default=60, ge=1, description="positions are from -radius to radius")
     start_radius: int = Field(default=30, ge=0, description="initial positions are from - to + this")

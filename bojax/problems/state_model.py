@@ -1,0 +1,64 @@
+"""The generative model of a continuous POMDP, written for one particle."""
+
+import abc
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.problems.actions import ActionSpace
+
+
+class StateModel(eqx.Module):
+    """How a state follows from an action, what is observed, and how likely an observation is; all vectors.
+
+    Every method is written for one state and is a pure function of its arguments. A terminal state is never
+    stepped in the world; in a belief it may be, and must not give NaN.
+
+    Attributes:
+        discount: Discount of the reward per step, in (0, 1].
+    """
+
+    discount: eqx.AbstractVar[Float[Array, ""]]
+
+    @property
+    @abc.abstractmethod
+    def actions(self) -> ActionSpace:
+        """The actions, and how a planner parametrises them."""
+
+    @abc.abstractmethod
+    def initial(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+        """A state drawn from the initial belief."""
+
+    @abc.abstractmethod
+    def step(
+        self, key: Key[Array, ""], state: Float[Array, "D"], action: Float[Array, "K"]
+    ) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+        """The next state, the reward, and whether the next state is terminal."""
+
+    @abc.abstractmethod
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+        next_state: Float[Array, "D"],
+    ) -> Float[Array, "O"]:
+        """An observation after a step."""
+
+    @abc.abstractmethod
+    def log_likelihood(
+        self,
+        observation: Float[Array, "O"],
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+        next_state: Float[Array, "D"],
+    ) -> Float[Array, ""]:
+        """Logarithm of the density, or of the probability, of an observation after a step."""
+
+    def heuristic_value(self, state: Float[Array, "D"]) -> Float[Array, ""] | None:
+        """Value of a state if states were observed (MDP), as a leaf value; None if it is not known."""
+        return None
+
+    def is_terminal(self, state: Float[Array, "D"]) -> Bool[Array, ""] | None:
+        """Whether a state is terminal; None if the state alone does not say so, but only `step`."""
+        return None
