@@ -13,8 +13,8 @@ from bojax.problems.state_space import StateProblem
 class Chase(StateProblem):
     """A boat moves by up to 1 m along x and y; it catches the buoy within `catch_radius`.
 
-    The state is the position of the boat, then that of the buoy. The boat observes the offset of the buoy, with
-    noise that grows with the distance. Every method is written for one state.
+    The state is the position of the boat, then that of the buoy. The boat observes the offset of the buoy,
+    with noise that grows with the distance. Every method is written for one state.
     """
 
     catch_radius: Float[Array, ""]  # m
