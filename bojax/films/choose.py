@@ -7,6 +7,7 @@ from bojax.films.film import Film
 from bojax.films.learning import LearningFilm
 from bojax.films.planning import PlanningFilm
 from bojax.films.recorded import choose_drive, choose_episode
+from bojax.problems.pomdp.settings import StateProblemSettings
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.results.store import ResultsError
@@ -33,6 +34,9 @@ def choose_film(
         raise ResultsError(
             f"{results.folder}: got results of {experiment.kind}; only planners and learners can be animated"
         )
+    if isinstance(experiment.problem, StateProblemSettings):
+        what = experiment.problem.kind
+        raise ResultsError(f"{results.folder}: got results of {what}; only paths of robots can be animated")
     if episode is not None:
         raise ResultsError("--episode: a run of a planner is one episode")
     return PlanningFilm(choose_drive(results, point, run), model)

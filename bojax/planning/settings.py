@@ -259,7 +259,7 @@ class StateValue(LeafValueSettings, frozen=True):
 class Policy(BeliefPlannerSettings, frozen=True):
     """A policy without search: the least that a planner on the same problem has to beat."""
 
-    target: ClassVar[str] = "bojax.planning.belief_search:PolicyPlanner"
+    target: ClassVar[str] = "bojax.planning.belief_planner:PolicyPlanner"
     kind: Literal["policy"] = "policy"
     policy: _Policy = Field(default="qmdp", description="policy, each made for some of the problems")
 

@@ -36,12 +36,9 @@ Root = Any
 
 
 class PathEvents(Events):
-    """Outcome of the execution of a path in the world.
+    """Outcome of the execution of a path in the world, with the fields of `Events`.
 
     Attributes:
-        reward: Part of the reward that depends on the world; `Problem.reward` adds the part that depends on
-            the belief.
-        terminated: Whether the episode has ended.
         success: Whether the task is solved.
         exited: Whether the robot left the domain.
         driven: Poses of the robot in the world frame; past the pose at which it stopped, that pose is
@@ -49,7 +46,6 @@ class PathEvents(Events):
         is_driven: Whether the robot reached each pose of the path.
         frames: Generalised positions during the motion, for an animation; None if there is nothing to
             animate.
-        failed: Whether the simulation has diverged, which ends the run as failed; None if it cannot diverge.
     """
 
     reward: Float[Array, ""]

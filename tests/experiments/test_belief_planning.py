@@ -19,7 +19,7 @@ from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
 from bojax.numerics.lanes import LANES
 from bojax.planning import oracles
-from bojax.planning.belief_search import PolicyPlanner
+from bojax.planning.belief_planner import PolicyPlanner
 from bojax.problems import particles
 from bojax.problems.actions import Box
 from bojax.problems.pomdp.sub_hunt_values import solve
