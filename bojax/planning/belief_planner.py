@@ -3,15 +3,22 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Key
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.planning.base import Plan, Planner
 from bojax.planning.leaf_values import Policy
 from bojax.planning.oracles import policy_named
+from bojax.problems import particles
 from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
+from bojax.problems.state_checks import check_model
 from bojax.problems.state_space import StateProblem
+
+_NUM_PARTICLES = 100
+"""Size of the belief on which the action of a policy is tried."""
 
 
 class BeliefPlanner(Planner):
@@ -23,6 +30,7 @@ class BeliefPlanner(Planner):
         if not isinstance(problem, StateProblem):
             name = type(problem).__name__
             raise ValueError(f"planner: {type(self).__name__} plans on particles, which {name} does not have")
+        check_model(problem)
         try:
             jax.eval_shape(self._plan_once, problem)
         except (AttributeError, TypeError, IndexError) as error:
@@ -36,6 +44,27 @@ class BeliefPlanner(Planner):
         return self.plan(key_plan, problem, belief)
 
 
+def check_policy(name: str, policy: Policy, problem: Problem) -> None:
+    """Refuse a policy whose action for an initial belief is not one of the problem's, by a ValueError."""
+    if not isinstance(problem, StateProblem):
+        return
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((policy, problem))):
+        return
+    action, is_inside = _acted(policy, problem)
+    if not is_inside:
+        raise ValueError(
+            f"{name}: its action for an initial belief is {np.asarray(action).tolist()}; allowed: actions of "
+            "the problem"
+        )
+
+
+@eqx.filter_jit
+def _acted(policy: Policy, problem: StateProblem) -> tuple[Float[Array, "K"], Bool[Array, ""]]:
+    key_prior, key = jax.random.split(jax.random.key(0))
+    action = policy(problem, key, particles.initial(problem, key_prior, _NUM_PARTICLES))
+    return action, problem.actions.contains(action)
+
+
 class PolicyPlanner(BeliefPlanner):
     """A policy without search, which predicts no value.
 
@@ -44,6 +73,11 @@ class PolicyPlanner(BeliefPlanner):
     """
 
     policy: Policy = eqx.field(static=True, converter=policy_named)
+
+    @override
+    def check(self, problem: Problem) -> None:
+        super().check(problem)
+        check_policy("planner.policy", self.policy, problem)
 
     @override
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:

@@ -17,7 +17,7 @@ from bojax.numerics.choices import Choice
 from bojax.numerics.lanes import any_lane, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
 from bojax.planning.base import Plan
-from bojax.planning.belief_planner import BeliefPlanner
+from bojax.planning.belief_planner import BeliefPlanner, check_policy
 from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
 from bojax.planning.leaf_values import LeafValue, Policy, StateValue
 from bojax.planning.proposals import Proposal
@@ -91,6 +91,8 @@ class BeliefSearch(BeliefPlanner):
             if jax.eval_shape(lambda: problem.heuristic_value(problem.initial(key))) is None:
                 raise ValueError("planner.leaf_value: got state-value; the problem has no values of states")
         super().check(problem)
+        if self.first_action is not None:
+            check_policy("planner.first_action", self.first_action, problem)
 
     @abc.abstractmethod
     def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Belief:

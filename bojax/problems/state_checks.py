@@ -1,0 +1,219 @@
+"""Checks of a user's state problem before anything runs, on a few random walks of its model.
+
+A mistake in a likelihood gives no error in a run, only a wrong belief: these checks find the usual ones.
+"""
+
+import re
+from typing import NoReturn
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.numerics.trial import Misfit, require, trial
+from bojax.problems import particles
+from bojax.problems.state_space import StateProblem
+
+_NUM_WALKS, _NUM_STEPS, _NUM_OBSERVATIONS, _NUM_PARTICLES = 8, 3, 256, 1000
+_MOST_DISTINCT = 32
+"""A set of observations is taken for finite if `_NUM_OBSERVATIONS` draws have at most so many values."""
+
+
+def check_model(problem: StateProblem) -> None:
+    """Call the methods of a user's problem on random walks, or raise ValueError with one line.
+
+    Refused are: wrong shapes and precisions; a discount outside (0, 1]; random actions outside the space;
+    NaN; methods that are not pure; an observation that no particle explains; and a likelihood that is not
+    the logarithm of one. That is so if the probabilities of a finite set of observations do not sum to 1, or
+    if the logarithm is never negative, even far from all observations. Whether a density integrates to 1 is
+    not checked.
+
+    Classes of bojax, and problems that JAX is tracing, pass.
+    """
+    if type(problem).__module__.startswith("bojax."):
+        return
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(problem)):
+        return
+    try:
+        trial(problem, _check_shapes, jax.random.key(0))
+        _check_numbers(problem)
+    except Misfit as error:
+        raise ValueError(f"problem: {type(problem).__name__}: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"problem: {error}") from error
+
+
+def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
+    keys = jax.random.split(key, 4)
+    require("discount", problem.discount, jnp.zeros((), problem.discount.dtype))
+    state = problem.initial(keys[0])
+    _require_vector("initial", state, problem.discount)
+    action = problem.actions.decode(problem.actions.sample(keys[1]))
+    next_state, reward, terminated = problem.step(keys[2], state, action)
+    require("the next state of step", next_state, state)
+    require("the reward of step", reward, problem.discount)
+    require("the termination of step", terminated, jnp.zeros((), bool))
+    observation = problem.observe(keys[3], state, action, next_state)
+    _require_vector("observe", observation, problem.discount)
+    log_likelihood = problem.log_likelihood(observation, state, action, next_state)
+    require("log_likelihood", log_likelihood, problem.discount)
+
+
+def _require_vector(name: str, value: Float[Array, "N"], example: Float[Array, ""]) -> None:
+    shape = value.shape if isinstance(value, Array) and value.ndim == 1 else (1,)
+    require(name, value, jnp.zeros(shape, example.dtype))
+
+
+class _Sample(eqx.Module):
+    """Transitions T of random walks, and several observations N of each.
+
+    Attributes:
+        is_used: Whether the walk has not ended before.
+        is_finite: Whether states and rewards are finite, after terminal states too.
+        is_inside: Whether the action is in the action space.
+        observations: The observations.
+        own: Log likelihood of the observations.
+        others: Log likelihood of one observation of each transition, given each other transition.
+        far: Log likelihood of observations far from all others.
+        has_collapsed: Whether no particle explains the first observation of a walk.
+    """
+
+    is_used: Bool[Array, "T"]
+    is_finite: Bool[Array, "T"]
+    is_inside: Bool[Array, "T"]
+    observations: Float[Array, "T N O"]
+    own: Float[Array, "T N"]
+    others: Float[Array, "T T"]
+    far: Float[Array, "T F"]
+    has_collapsed: Bool[Array, "W"]
+
+
+def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
+    num_steps = min(_NUM_STEPS, problem.max_steps)
+    walk_key, observe_key, particle_key = jax.random.split(key, 3)
+
+    def walk(key: Key[Array, ""]):
+        start_key, key = jax.random.split(key)
+
+        def advance(carry, step):
+            state, is_used = carry
+            action_key, step_key, after_key = jax.random.split(jax.random.fold_in(key, step), 3)
+            action = problem.actions.decode(problem.actions.sample(action_key))
+            following, reward, ended = problem.step(step_key, state, action)
+            # A belief steps terminal particles too.
+            after, after_reward, _ = problem.step(after_key, following, action)
+            numbers = jnp.concatenate([state, following, after, reward[None], after_reward[None]])
+            row = state, action, following, is_used, jnp.all(jnp.isfinite(numbers))
+            return (following, is_used & ~ended), row
+
+        start = problem.initial(start_key), jnp.asarray(True)
+        return jax.lax.scan(advance, start, jnp.arange(num_steps, dtype=jnp.uint32))[1]
+
+    walks = jax.vmap(walk)(jax.random.split(walk_key, _NUM_WALKS))
+    rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), walks)
+    states, actions, following, is_used, is_finite = rows
+
+    def observe(key: Key[Array, ""], *transition: Float[Array, "..."]) -> Float[Array, "N O"]:
+        return jax.vmap(lambda key: problem.observe(key, *transition))(
+            jax.random.split(key, _NUM_OBSERVATIONS)
+        )
+
+    keys = jax.random.split(observe_key, states.shape[0])
+    observations = jax.vmap(observe)(keys, states, actions, following)
+    of_own = jax.vmap(jax.vmap(problem.log_likelihood, (0, None, None, None)))
+    of_all = jax.vmap(jax.vmap(problem.log_likelihood, (None, 0, 0, 0)), (0, None, None, None))
+    distance = 1e3 * (1.0 + jnp.max(observations, axis=(0, 1)) - jnp.min(observations, axis=(0, 1)))
+    far = observations[:, :2] + jnp.stack([distance, -distance])[None]
+
+    def has_collapsed(key, action, observation):
+        prior_key, update_key = jax.random.split(key)
+        belief = particles.initial(problem, prior_key, _NUM_PARTICLES)
+        return particles.update(problem, update_key, belief, action, observation)[1]
+
+    first = slice(None, None, num_steps)
+    return _Sample(
+        is_used,
+        is_finite,
+        jax.vmap(problem.actions.contains)(actions),
+        observations,
+        of_own(observations, states, actions, following),
+        of_all(observations[:, 0], states, actions, following),
+        of_own(far, states, actions, following),
+        jax.vmap(has_collapsed)(
+            jax.random.split(particle_key, _NUM_WALKS), actions[first], observations[first, 0]
+        ),
+    )
+
+
+_compiled = eqx.filter_jit(_sample)
+
+
+def _check_numbers(problem: StateProblem) -> None:
+    discount = float(problem.discount)
+    if not 0.0 < discount <= 1.0:
+        _refuse(f"discount is {discount:g}; allowed: above 0, at most 1")
+    found = [jax.tree.map(np.asarray, _compiled(problem, jax.random.key(1))) for _ in range(2)]
+    sample = found[0]
+    used = sample.is_used
+    if not np.all(sample.is_inside[used]):
+        _refuse("actions: a random action is not in the action space")
+    if not np.all(sample.is_finite[used]):
+        _refuse("step: a state or a reward is not finite; allowed: finite, after a terminal state too")
+    if not np.all(np.isfinite(sample.observations[used])):
+        _refuse("observe: an observation is not finite")
+    agree = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), *found)
+    if not all(jax.tree.leaves(agree)) or not _traces_agree(problem):
+        _refuse("not pure: two calls with equal arguments differ; allowed: random numbers of the key alone")
+    own, others = sample.own[used], sample.others[used][:, used]
+    if np.any(np.isnan(own)) or np.any(np.isnan(others)):
+        _refuse("log_likelihood is NaN for an observation that the problem has made")
+    if np.any(own == np.inf):
+        _refuse("log_likelihood is infinite for an observation that the problem has made")
+    if np.all(sample.has_collapsed):
+        _refuse(
+            f"log_likelihood: none of {_NUM_PARTICLES} particles explains the first observation; "
+            "allowed: an observation with noise, or finitely many observations"
+        )
+    _check_logarithm(sample.observations[used], own, others, sample.far[used])
+
+
+def _check_logarithm(
+    observations: Float[np.ndarray, "T N O"],
+    own: Float[np.ndarray, "T N"],
+    others: Float[np.ndarray, "T T"],
+    far: Float[np.ndarray, "T F"],
+) -> None:
+    """Refuse a likelihood in place of its logarithm."""
+    is_finite = True
+    for values, logs in zip(observations, own, strict=True):
+        distinct, index = np.unique(values, axis=0, return_index=True)
+        is_finite &= len(distinct) <= _MOST_DISTINCT
+        total = np.sum(np.exp(logs[index]))
+        if len(distinct) <= _MOST_DISTINCT and not 0.8 < total < 1.001:
+            _refuse(
+                f"log_likelihood: the probabilities of {len(distinct)} observations sum to {total:.3g}; "
+                "allowed: logarithms of probabilities that sum to 1"
+            )
+    # Where a density is undefined, far from all observations, a logarithm may be anything.
+    if not is_finite and min(own.min(), others.min(), np.nanmin(far, initial=np.inf)) >= 0.0:
+        _refuse(
+            "log_likelihood is never negative, even far from all observations; "
+            "allowed: the logarithm of the density, not the density"
+        )
+
+
+def _traces_agree(problem: StateProblem) -> bool:
+    """Whether two traces are the same program: a number from Python's generators is a constant of it."""
+    programs = []
+    for _ in range(2):
+        program = jax.make_jaxpr(lambda key: _sample(problem, key))(jax.random.key(1))
+        constants = [np.asarray(x).tobytes() for x in program.consts]
+        programs.append((re.sub(r"0x[0-9a-f]+", "", str(program)), constants))
+    return programs[0] == programs[1]
+
+
+def _refuse(message: str) -> NoReturn:
+    raise Misfit(message)

@@ -1,0 +1,156 @@
+"""A state problem of a user's class with a mistake ends in one line before anything runs."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.scipy.stats import norm
+from jaxtyping import Array, Float
+
+from bojax.config.catalog import kinds
+from bojax.engine.build import build
+from bojax.experiments.planning import PlanningEpisode
+from bojax.planning.belief_planner import PolicyPlanner
+from bojax.problems.actions import Box
+from bojax.problems.state_checks import check_model
+from bojax.problems.state_space import StateProblem
+from tests.refusals import assert_refused, without_annotation_checks
+
+
+class Line(StateProblem):
+    """A position with a noisy reading; `mistake` names what is wrong."""
+
+    discount: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.asarray(0.9))
+    noise: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.asarray(0.5))
+    mistake: str = eqx.field(static=True, default="")
+    max_steps: int = eqx.field(static=True, default=5)
+
+    @property
+    def actions(self):
+        low, high = (1.0, -1.0) if self.mistake == "actions" else (-1.0, 1.0)
+        return Box(jnp.full(1, low), jnp.full(1, high))
+
+    def initial(self, key):
+        return jnp.zeros(()) if self.mistake == "initial" else jax.random.normal(key, (1,), float)
+
+    def step(self, key, state, action):
+        moved = state + action + 0.1 * jax.random.normal(key, (1,), float)
+        if self.mistake == "python's random numbers":
+            moved = moved + np.random.default_rng().normal()
+        if self.mistake == "a callback":
+            draw = lambda _: np.random.default_rng().normal()  # noqa: E731
+            shape = jax.ShapeDtypeStruct((), moved.dtype)
+            moved = moved + jax.pure_callback(draw, shape, moved, vmap_method="sequential")
+        reward = -jnp.sqrt(moved[0]) if self.mistake == "reward" else -jnp.abs(moved[0])
+        return moved, reward, moved[0] > 3.0
+
+    def observe(self, key, state, action, next_state):
+        if self.mistake == "observation":
+            return next_state[0] + self.noise * jax.random.normal(key, (), float)
+        if self.mistake == "no noise":
+            return next_state
+        return next_state + self.noise * jax.random.normal(key, (1,), float)
+
+    def log_likelihood(self, observation, state, action, next_state):
+        offset = observation[0] - next_state[0]
+        match self.mistake:
+            case "density":
+                return norm.pdf(offset, 0.0, self.noise)
+            case "nan":
+                return jnp.log(offset)
+            case "no noise":
+                return jnp.where(offset == 0.0, 0.0, -jnp.inf)
+            case "one value a reading":
+                return norm.logpdf(observation, next_state, self.noise)
+        return norm.logpdf(offset, 0.0, self.noise)
+
+
+class Coin(Line):
+    """A reading of three values."""
+
+    def observe(self, key, state, action, next_state):
+        return jax.random.categorical(key, self._logits(next_state))[None].astype(float)
+
+    def log_likelihood(self, observation, state, action, next_state):
+        logs = jax.nn.log_softmax(self._logits(next_state))[observation[0].astype(int)]
+        return {"": logs, "density": jnp.exp(logs), "weights": logs + 0.1}[self.mistake]
+
+    def _logits(self, state):
+        return jnp.stack([state[0], jnp.zeros_like(state[0]), -state[0]])
+
+
+def refused(problem):
+    return lambda: check_model(problem)
+
+
+def test_correct_problems_pass():
+    for problem in (Line(), Line(noise=jnp.asarray(1e-3)), Coin(), Line(discount=jnp.asarray(1.0))):
+        check_model(problem)
+
+
+STATE_PROBLEMS = sorted(
+    kind for kind, schema in kinds("problem").items() if schema.target.startswith("bojax.problems.pomdp.")
+)
+
+
+@pytest.mark.parametrize("kind", STATE_PROBLEMS)
+def test_shipped_problems_would_pass(kind, monkeypatch):
+    problem = build(kinds("problem")[kind]())
+    monkeypatch.setattr(type(problem), "__module__", "somebody.elses")
+    check_model(problem)
+
+
+def test_a_problem_with_a_mistake_is_refused_in_one_line():
+    mistakes = (
+        ("actions", "actions: a random action is not in the action space"),
+        ("reward", "step: a state or a reward is not finite"),
+        ("python's random numbers", "not pure: two calls with equal arguments differ"),
+        ("a callback", "not pure: two calls with equal arguments differ"),
+        ("density", "log_likelihood is never negative, even far from all observations"),
+        ("nan", "log_likelihood is NaN for an observation"),
+        ("no noise", "log_likelihood: none of 1000 particles explains the first observation"),
+    )
+    assert_refused((refused(Line(mistake=name)), f"^problem: Line: {message}") for name, message in mistakes)
+    assert_refused(
+        (
+            refused(Line(discount=jnp.asarray(value))),
+            f"^problem: Line: discount is {value:g}; allowed: above 0",
+        )
+        for value in (0.0, -0.5, 1.01)
+    )
+
+
+def test_wrong_shapes_are_refused():
+    with without_annotation_checks():
+        assert_refused(
+            (refused(Line(mistake=name)), f"^problem: Line: .*{message}")
+            for name, message in (
+                ("initial", r"initial is float64 of shape \(\); allowed: float64 of shape \(1,\)"),
+                ("observation", r"observe is float64 of shape \(\); allowed: float64 of shape \(1,\)"),
+                ("one value a reading", r"log_likelihood is float64 of shape \(1,\); allowed: .* \(\)"),
+            )
+        )
+
+
+def test_probabilities_of_finite_observations_sum_to_1():
+    assert_refused(
+        (refused(Coin(mistake=name)), f"^problem: Coin: log_likelihood: the probabilities of 3 obs.* {total}")
+        for name, total in (("density", "sum to 4"), ("weights", r"sum to 1\.11"))
+    )
+
+
+def test_an_episode_checks_its_problem_and_the_action_of_its_policy():
+    still = PolicyPlanner(lambda problem, key, belief: jnp.zeros(1))
+    far = PolicyPlanner(lambda problem, key, belief: jnp.full(1, 7.0))
+    PlanningEpisode(Line(num_particles=10), still)
+    assert_refused(
+        (
+            (lambda: PlanningEpisode(Line(mistake="nan"), still), "^problem: Line: .*NaN"),
+            (lambda: PlanningEpisode(Line(), far), r"^planner.policy: .* is \[7.0\]; allowed"),
+        )
+    )
+    # A list of actions too: the light is reached by moves of 10 only if there are such moves.
+    with pytest.raises(ValueError, match="planner.policy: its action for an initial belief"):
+        problem = build(kinds("problem")["light-dark"](moves=(-1, 0, 1)))
+        PlanningEpisode(problem, PolicyPlanner("aside-first"))
