@@ -21,6 +21,11 @@ def to_next_ml(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Float
     return _towards_next(problem, belief.sample(key), jnp.zeros((), belief.states.dtype))
 
 
+def to_next_mean(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Float[Array, "2"]:
+    """Move towards the next position of the mean target, never look: published searches try it first."""
+    return _towards_next(problem, belief.mean, jnp.zeros((), belief.states.dtype))
+
+
 def manage_uncertainty(
     problem: VdpTag, key: Key[Array, ""], belief: Particles, threshold: Float[Array, ""] | float = 0.01
 ) -> Float[Array, "2"]:
@@ -99,6 +104,7 @@ def slow_down(problem: PomdpLander, key: Key[Array, ""], belief: Particles) -> F
 
 POLICIES = {
     "to-next-ml": to_next_ml,
+    "to-next-mean": to_next_mean,
     "manage-uncertainty": manage_uncertainty,
     "qmdp": qmdp,
     "localise-first": localise_first,

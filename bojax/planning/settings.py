@@ -219,7 +219,14 @@ class LeafValueSettings(Component, frozen=True):
 
 
 _Policy = Literal[
-    "to-next-ml", "manage-uncertainty", "qmdp", "localise-first", "aside-first", "ping-first", "slow-down"
+    "to-next-ml",
+    "to-next-mean",
+    "manage-uncertainty",
+    "qmdp",
+    "localise-first",
+    "aside-first",
+    "ping-first",
+    "slow-down",
 ]
 
 

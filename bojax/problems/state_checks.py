@@ -10,9 +10,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Key
 
+from bojax.models.checks import is_known
 from bojax.numerics.trial import Misfit, require, trial
 from bojax.problems import particles
 from bojax.problems.state_space import StateProblem
@@ -33,9 +33,7 @@ def check_model(problem: StateProblem) -> None:
 
     Classes of bojax, and problems that JAX is tracing, pass.
     """
-    if type(problem).__module__.startswith("bojax."):
-        return
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(problem)):
+    if type(problem).__module__.startswith("bojax.") or not is_known(problem):
         return
     try:
         trial(problem, _check_shapes, jax.random.key(0))

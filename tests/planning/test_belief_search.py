@@ -74,6 +74,84 @@ def test_the_tree_is_that_of_the_reference(name, changes):
     assert expected.actions[best] is max(visited, key=lambda action: action.mean)
 
 
+class DriftDraws:
+    """The steps of `drift()`, and draws of a search, in plain NumPy."""
+
+    def __init__(self, states, seed):
+        self.states, self.rng = states, np.random.default_rng(seed)
+
+    def begin(self, i):
+        pass
+
+    def state(self):
+        return self.rng.choice(self.states)
+
+    def action(self):
+        return self.rng.uniform(-1.0, 1.0, 1)
+
+    def decode(self, parameters):
+        return parameters
+
+    def branch(self, level, number):
+        return self.rng.integers(number)
+
+    def by_weight(self, weights):
+        return self.rng.choice(len(weights), p=np.array(weights) / np.sum(weights))
+
+    def leaf_value(self, states, alive, left):
+        total, state, is_alive = 0.0, states[0], alive[0]
+        for step in range(left if is_alive else 0):
+            state, reward, ended = self._step(state, self.action())
+            total += 0.9**step * reward
+            if ended:
+                break
+        return total
+
+    def new_step(self, state, action):
+        next_state, reward, ended = self._step(state, action)
+        observation = next_state + 0.5 * self.rng.normal(size=1)
+        return next_state, reward, ended, observation, self._likelihood(observation, next_state)
+
+    def next_step(self, level, state, action, observation):
+        next_state, reward, ended = self._step(state, action)
+        return next_state, reward, ended, self._likelihood(observation, next_state)
+
+    def _step(self, state, action):
+        moved = state + action + 0.3 * self.rng.normal(size=1)
+        ended = abs(moved[0]) > 2.0
+        return moved, (-5.0 if ended else -(moved[0] ** 2)), ended
+
+    def _likelihood(self, observation, state):
+        return np.exp(-0.5 * ((observation[0] - state[0]) / 0.5) ** 2)
+
+
+def test_many_reservoirs_search_as_published_lists_do():
+    problem, iterations, num = drift(), 150, 128
+    belief = belief_of(problem)
+    reservoirs = planner("pomcpow", iterations, num_reservoirs=64)
+    in_batch = jax.vmap(lambda key: reservoirs.search(key, problem, belief), axis_name=LANES)
+    totals = np.asarray(eqx.filter_jit(in_batch)(jax.random.split(jax.random.key(8), num)).totals[:, ROOT])
+    states = np.asarray(belief.states)
+    settings = SETTINGS | {"discount": 0.9, "num_actions": None, "max_branches": 40}
+    roots = [
+        reference.POMCPOWWithLists(DriftDraws(states, seed), **settings).search(None, iterations)
+        for seed in range(num)
+    ]
+    # Statistics of the root: the mean return of all simulations, the highest mean, most visits, actions.
+    visits = totals[..., 0]
+    means = np.where(visits > 0, totals[..., 1] / np.maximum(visits, 1), -np.inf)
+    found = totals[..., 1].sum(axis=1) / iterations, means.max(axis=1), visits.max(axis=1)
+    expected = (
+        [sum(a.total for a in root.actions) / iterations for root in roots],
+        [max(a.mean for a in root.actions) for root in roots],
+        [max(a.visits for a in root.actions) for root in roots],
+    )
+    for ours, theirs in zip(found, expected, strict=True):
+        error = np.hypot(np.std(ours, ddof=1), np.std(theirs, ddof=1)) / np.sqrt(num)
+        assert abs(np.mean(ours) - np.mean(theirs)) < 3.5 * error
+    assert {int(np.sum(row > 0)) for row in visits} == {len(root.actions) for root in roots}
+
+
 @pytest.mark.parametrize(
     "k, alpha", [(1.0, 0.5), (3.0, 0.3), (20.0, 0.04), (2.5, 0.01), (4.0, 0.0), (1.0, 1.0)]
 )

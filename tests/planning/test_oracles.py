@@ -51,6 +51,8 @@ def test_manage_uncertainty_looks_if_the_target_is_uncertain(spread):
     assert action[0] == pytest.approx(towards(states.mean(axis=0)), abs=1e-9)
     deviation = np.sqrt(np.linalg.det(np.cov(states[:, 2:].T, ddof=0)))
     assert action[1] == float(deviation > 0.01)
+    without_look = oracles.to_next_mean(VDP, jax.random.key(0), belief(states))
+    assert without_look[0] == action[0] and without_look[1] == 0.0
 
 
 def test_qmdp_takes_the_best_mean_value():

@@ -2,6 +2,7 @@
 
 `draws` gives the random numbers and the simulated steps of an iteration, so that another program can use the
 same. As in bojax: PFT ends branches with the observed termination; POMCPOW's branches keep reservoirs.
+`POMCPOWWithLists` keeps all steps of a branch, as published.
 """
 
 import math
@@ -180,3 +181,19 @@ class POMCPOW(Search):
         ]
         child.content = observation, total, steps
         return steps[place]
+
+
+class POMCPOWWithLists(POMCPOW):
+    """As published: a branch keeps all simulated steps and their weights, and draws from them by weight."""
+
+    def new_branch(self, b, state, action, is_root):
+        next_state, reward, ended, observation, likelihood = self.draws.new_step(state, action)
+        content = observation, [likelihood], [(next_state, reward, ended)]
+        return Belief(content, reward, ended), (next_state[None], np.array([not ended]))
+
+    def old_branch(self, child, state, action, level):
+        observation, weights, steps = child.content
+        *step, likelihood = self.draws.next_step(level, state, action, observation)
+        weights.append(likelihood)
+        steps.append(tuple(step))
+        return steps[self.draws.by_weight(weights)]
