@@ -161,6 +161,7 @@ class BeliefSearch(BeliefPlanner):
             self.iterations,
             num_actions,
             self.max_branches,
+            num_totals=2 if self.proposal.target is None else 4,
         )
         states = draw_states(key_states, belief, self.iterations)
         for_actions = self.action_widening.thresholds(num_actions)
@@ -213,7 +214,7 @@ class BeliefSearch(BeliefPlanner):
             is_new_action=end.is_expanded & end.is_new_action,
             is_new_branch=end.is_expanded,
         )
-        totals = self._back_up(problem.discount, tree.totals, end, gain, future)
+        totals = self._back_up(problem.discount, tree.totals, end, expansion.reward, gain, future)
         return eqx.tree_at(lambda tree: tree.totals, tree, totals).grown(growth)
 
     def _descend(
@@ -286,7 +287,7 @@ class BeliefSearch(BeliefPlanner):
         beliefs, end = jax.lax.while_loop(is_active, next_level, (tree.beliefs, start))
         return eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs), end
 
-    def _select(self, rules: "_Rules", totals: Float[Array, "A 2"]) -> Int[Array, ""]:
+    def _select(self, rules: "_Rules", totals: Float[Array, "A T"]) -> Int[Array, ""]:
         """The action of the highest upper confidence bound, among those that exist or may be added now."""
         visits, returns = totals[:, 0], totals[:, 1]
         at_node = jnp.sum(visits)
@@ -316,14 +317,16 @@ class BeliefSearch(BeliefPlanner):
     def _back_up(
         self,
         discount: Float[Array, ""],
-        totals: Float[Array, "V A 2"],
+        totals: Float[Array, "V A T"],
         end: "_Descent",
+        new_reward: Float[Array, ""],
         gain: Float[Array, ""],
         future: Float[Array, ""],
-    ) -> Float[Array, "V A 2"]:
+    ) -> Float[Array, "V A T"]:
         """Credit every action on the way with its own reward and all later ones.
 
-        `gain` is the return of the new branch, `future` the value of a belief at the horizon.
+        `new_reward` and `gain` are the reward and the return of the new branch, `future` is the value of a
+        belief at the horizon.
         """
         num_levels = largest_in_lanes(end.turn)
         last = jnp.where(end.is_expanded, end.level, self.depth)
@@ -334,8 +337,17 @@ class BeliefSearch(BeliefPlanner):
             level = num_levels - 1 - k
             reward = jnp.where(level == last, gain, end.rewards[level])
             later = jnp.where(level > last, 0.0, reward + discount * later)
-            added = jnp.stack([one, later])
-            return totals.at[end.nodes[level], end.slots[level]].add(added, mode="drop"), later
+            node, slot = end.nodes[level], end.slots[level]
+            added = [one, later]
+            if self.proposal.target is not None:
+                immediate = jnp.where(level == last, new_reward, end.rewards[level])
+                target = later if self.proposal.target == "return" else immediate
+                # Welford: squares of deviations, since a sum of squares would cancel in float32.
+                visits, _, total, _ = totals.at[node, slot].get(mode="clip")
+                before = jnp.where(visits > 0.0, total / jnp.maximum(visits, 1.0), target)
+                after = (total + target) / (visits + 1.0)
+                added += [target, (target - before) * (target - after)]
+            return totals.at[node, slot].add(jnp.stack(added), mode="drop"), later
 
         # A lane that has reached the horizon has as many levels as any.
         later = jnp.where(end.is_at_horizon, future, 0.0)

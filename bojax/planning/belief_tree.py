@@ -23,8 +23,10 @@ class BeliefTree(eqx.Module):
     Attributes:
         beliefs: Beliefs, each array with a leading axis of belief nodes.
         outcome: Reward of the branch that leads to a belief node, and whether the episode has ended there.
-        totals: Number of visits and sum of returns of each action of a belief node. Actions that were never
-            visited have zeros. All actions of a node are one row, so that a descent reads one row a level.
+        totals: Number of visits and sum of returns of each action of a belief node; for a proposal that
+            learns, also the sum of its target and of squared deviations from the mean target. Actions that
+            were never visited have zeros. All actions of a node are one row, so that a descent reads one row
+            a level.
         children: Action node of each action of a belief node.
         branches: Belief node of each branch of an action node, in the order in which they were added.
         parameters: Parameters of the action of an action node.
@@ -32,14 +34,20 @@ class BeliefTree(eqx.Module):
 
     beliefs: Belief
     outcome: Float[Array, "V 2"]
-    totals: Float[Array, "V A 2"]
+    totals: Float[Array, "V A T"]
     children: Int[Array, "V A"]
     branches: Int[Array, "N B"]
     parameters: Num[Array, "N P"]
 
     @classmethod
     def rooted(
-        cls, belief: Belief, parameters: Num[Array, "P"], iterations: int, num_actions: int, num_branches: int
+        cls,
+        belief: Belief,
+        parameters: Num[Array, "P"],
+        iterations: int,
+        num_actions: int,
+        num_branches: int,
+        num_totals: int = 2,
     ) -> "BeliefTree":
         """A tree with only a root; `parameters` are those of any action."""
         dtype = jax.tree.leaves(belief)[0].dtype
@@ -48,7 +56,7 @@ class BeliefTree(eqx.Module):
                 lambda leaf: jnp.zeros((iterations + 1, *leaf.shape), leaf.dtype).at[ROOT].set(leaf), belief
             ),
             outcome=jnp.zeros((iterations + 1, 2), dtype),
-            totals=jnp.zeros((iterations + 1, num_actions, 2), dtype),
+            totals=jnp.zeros((iterations + 1, num_actions, num_totals), dtype),
             children=jnp.zeros((iterations + 1, num_actions), jnp.int32),
             branches=jnp.zeros((iterations, num_branches), jnp.int32),
             parameters=jnp.zeros((iterations, *parameters.shape), parameters.dtype),
@@ -74,7 +82,7 @@ class BeliefTree(eqx.Module):
 
     def mean_returns(self, node: Int[Array, ""]) -> Float[Array, "A"]:
         """Mean return of each action of a belief node; -inf for actions without a visit."""
-        visits, returns = self.totals[node].T
+        visits, returns = self.totals[node, :, 0], self.totals[node, :, 1]
         return jnp.where(visits > 0.0, returns / jnp.maximum(visits, 1.0), -jnp.inf)
 
 

@@ -1,6 +1,7 @@
 """How a belief search proposes a new action of a belief node."""
 
 import abc
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -11,9 +12,17 @@ from typing_extensions import override
 from bojax.planning.belief_tree import BeliefTree, row
 from bojax.problems.actions import ActionSpace
 
+Target = Literal["reward", "return"]
+"""What a proposal learns of an action: its mean immediate reward, or the mean return of simulations."""
+
 
 class Proposal(eqx.Module):
     """A rule that proposes the parameters of a new action."""
+
+    @property
+    def target(self) -> Target | None:
+        """The target whose sum and deviations `totals` has too; None for none."""
+        return None
 
     @abc.abstractmethod
     def __call__(
@@ -22,7 +31,7 @@ class Proposal(eqx.Module):
         space: ActionSpace,
         tree: BeliefTree,
         node: Int[Array, ""],
-        totals: Float[Array, "A 2"],
+        totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
         """Parameters of a new action of `node`, whose actions have the visits and returns `totals`."""
 
@@ -37,7 +46,7 @@ class RandomProposal(Proposal):
         space: ActionSpace,
         tree: BeliefTree,
         node: Int[Array, ""],
-        totals: Float[Array, "A 2"],
+        totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
         return space.sample(key)
 
@@ -70,7 +79,7 @@ class VoronoiProposal(Proposal):
         space: ActionSpace,
         tree: BeliefTree,
         node: Int[Array, ""],
-        totals: Float[Array, "A 2"],
+        totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
         key_choice, key_random, key_candidates = jax.random.split(key, 3)
         actions = row(tree.parameters, row(tree.children, node))

@@ -210,6 +210,37 @@ class VoronoiProposal(ProposalSettings, frozen=True):
     max_candidates: int = Field(default=20, ge=1, description="number of candidates")
 
 
+class GaussianProcessProposal(ProposalSettings, frozen=True):
+    """The maximum of an acquisition under a Gaussian process of the actions so far: CBTS on such beliefs."""
+
+    target: ClassVar[str] = "bojax.planning.gp_proposal:GaussianProcessProposal"
+    kind: Literal["gp"] = "gp"
+    learns: Literal["reward", "return"] = Field(
+        default="return",
+        description="what the process learns of an action: the immediate reward (thesis) or the return",
+    )
+    kernel: Annotated[Component, Slot("kernel")] = Field(
+        default=RBF(),
+        description="kernel of actions, in coordinates of [-1, 1]; an angle is on a unit circle",
+    )
+    level_correlation: float = Field(
+        default=0.5,
+        ge=0,
+        le=1,
+        description="correlation of actions that differ only in a level, as in a look",
+    )
+    acquisition: Annotated[Component, Slot("acquisition")] = Field(
+        default=UpperConfidenceBound(kappa=2.0), description="acquisition that new actions maximise"
+    )
+    noise_variance: float = Field(
+        default=0.01, ge=0, description="variance of the noise added to means, which have variance 1"
+    )
+    num_initial: int = Field(default=2, ge=1, description="number of first actions that are random")
+    num_candidates: int = Field(
+        default=128, ge=1, description="number of random actions that the acquisition chooses from"
+    )
+
+
 class LeafValueSettings(Component, frozen=True):
     """The estimate of the value of a new belief."""
 

@@ -33,6 +33,14 @@ class ActionSpace(eqx.Module):
     def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
         """Whether an action, decoded, belongs to the space."""
 
+    def coordinates(self, parameters: Num[Array, "P"]) -> Float[Array, "C"]:
+        """Coordinates in which close actions are alike, for kernels; an angle is a point on a circle."""
+        return parameters
+
+    def level(self, parameters: Num[Array, "P"]) -> Int[Array, ""]:
+        """The index of the action's level, which coordinates do not have; 0 in a space without levels."""
+        return jnp.zeros((), jnp.int32)
+
 
 class Box(ActionSpace):
     """Vectors between two bounds; a random action is uniform.
@@ -40,10 +48,12 @@ class Box(ActionSpace):
     Attributes:
         low: Lower bounds.
         high: Upper bounds.
+        is_angle: Whether every component is an angle, with bounds that are one turn apart.
     """
 
     low: Float[Array, "K"]
     high: Float[Array, "K"]
+    is_angle: bool = eqx.field(static=True, default=False)
 
     @property
     @override
@@ -65,6 +75,12 @@ class Box(ActionSpace):
     @override
     def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
         return jnp.all((self.low <= action) & (action <= self.high))
+
+    @override
+    def coordinates(self, parameters: Float[Array, "K"]) -> Float[Array, "C"]:
+        if not self.is_angle:
+            return parameters
+        return jnp.concatenate([jnp.cos(jnp.pi * parameters), jnp.sin(jnp.pi * parameters)])
 
 
 class Discrete(ActionSpace):
@@ -121,9 +137,17 @@ class Mixed(ActionSpace):
 
     @override
     def decode(self, parameters: Float[Array, "K"]) -> Float[Array, "K"]:
+        return jnp.append(self.box.decode(parameters[:-1]), self.levels[self.level(parameters)])
+
+    @override
+    def coordinates(self, parameters: Float[Array, "K"]) -> Float[Array, "C"]:
+        return self.box.coordinates(parameters[:-1])
+
+    @override
+    def level(self, parameters: Float[Array, "K"]) -> Int[Array, ""]:
         count = self.levels.shape[0]
         level = jnp.ceil(0.5 * (parameters[-1] + 1.0) * count).astype(jnp.int32) - 1
-        return jnp.append(self.box.decode(parameters[:-1]), self.levels[jnp.clip(level, 0, count - 1)])
+        return jnp.clip(level, 0, count - 1)
 
     @override
     def encode(self, action: Float[Array, "K"]) -> Float[Array, "K"]:

@@ -32,6 +32,8 @@ class Action:
         self.branches = []
         self.visits = 0
         self.total = 0.0
+        self.rewards = []
+        self.returns = []
 
     @property
     def mean(self):
@@ -82,7 +84,7 @@ class Search:
                 a.parameters = self.propose(b, a)
             child, alive = self.new_branch(b, state, self.draws.decode(a.parameters), is_root=b is root)
             a.branches.append(child)
-            total = child.reward
+            total = reward = child.reward
             if not child.is_terminal:
                 total += self.discount * self.draws.leaf_value(*alive, self.depth - 1 - level)
         else:
@@ -94,6 +96,8 @@ class Search:
                 total += self.discount * self.simulate(child, state, level + 1, root)
         a.visits += 1
         a.total += total
+        a.rewards.append(reward)
+        a.returns.append(total)
         return total
 
     def action_prog_widen(self, b):

@@ -43,9 +43,8 @@ class VdpTag(StateProblem):
     @override
     def actions(self) -> Mixed:
         dtype = self.discount.dtype
-        return Mixed(
-            Box(jnp.zeros(1, dtype), jnp.full(1, 2.0 * jnp.pi, dtype)), jnp.asarray([0.0, 1.0], dtype)
-        )
+        angles = Box(jnp.zeros(1, dtype), jnp.full(1, 2.0 * jnp.pi, dtype), is_angle=True)
+        return Mixed(angles, jnp.asarray([0.0, 1.0], dtype))
 
     @override
     def initial(self, key: Key[Array, ""]) -> Float[Array, "4"]:

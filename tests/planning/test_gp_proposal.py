@@ -1,0 +1,161 @@
+"""Proposals by a Gaussian process: statistics, posterior and choice against plain NumPy."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from bojax.acquisition.functions import ExpectedImprovement, UpperConfidenceBound
+from bojax.config.catalog import kinds
+from bojax.engine.build import build
+from bojax.models.kernels import RBF
+from bojax.planning.gp_proposal import GaussianProcessProposal
+from bojax.planning.proposals import RandomProposal
+from bojax.planning.tree import ROOT
+from bojax.problems.actions import Box, Mixed
+from bojax.problems.particles import initial
+from tests.planning.belief_searches import SETTINGS, Draws, drift, number, planner
+from tests.reference import belief_search as reference
+
+LENGTHSCALE, CORRELATION, NOISE = 0.6, 0.4, 0.02
+
+
+def proposal(learns="return", acquisition=None, **changes):
+    settings = {"num_initial": 2, "num_candidates": 64} | changes
+    return GaussianProcessProposal(
+        learns=learns,
+        kernel=RBF(number(LENGTHSCALE)),
+        level_correlation=number(CORRELATION),
+        acquisition=UpperConfidenceBound(number(2.0)) if acquisition is None else acquisition,
+        noise_variance=number(NOISE),
+        **settings,
+    )
+
+
+class Watching(RandomProposal):
+    """Random actions of a search that keeps the statistics of a target."""
+
+    watched: str = eqx.field(static=True)
+
+    @property
+    def target(self):
+        return self.watched
+
+
+@pytest.mark.parametrize("name, target", [("pft", "return"), ("pomcpow", "reward")])
+def test_statistics_are_those_of_all_visits(name, target):
+    problem, iterations = drift(), 120
+    belief = initial(problem, jax.random.key(1), 50)
+    search_planner = planner(name, iterations, max_branches=6, proposal=Watching(target))
+    tree = eqx.filter_jit(search_planner.search)(jax.random.key(5), problem, belief)
+    draws = Draws(jax.random.key(5), problem, belief, search_planner)
+    settings = SETTINGS | {"discount": 0.9, "num_actions": None, "max_branches": 6}
+    if name == "pft":
+        root = search_planner.root(draws.root_key, problem, belief)
+        content = np.asarray(root.states), np.asarray(root.alive)
+        expected = reference.PFT(draws, **settings).search(content, iterations)
+    else:
+        expected = reference.POMCPOW(draws, **settings).search(None, iterations)
+    nodes = [(ROOT, expected)]
+    for node, b in nodes:
+        for slot, action in enumerate(b.actions):
+            values = np.array(action.returns if target == "return" else action.rewards)
+            row = np.asarray(tree.totals[node, slot])
+            np.testing.assert_allclose(row[0], len(values))
+            np.testing.assert_allclose(row[1], sum(action.returns), rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(row[2], values.sum(), rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(row[3], len(values) * values.var(), rtol=1e-9, atol=1e-9)
+            branches = np.asarray(tree.branches[tree.children[node, slot]])
+            nodes += zip(branches.tolist(), action.branches, strict=False)
+    assert sum(len(b.actions) for _, b in nodes) > 60
+
+
+def covariance(a, b, space):
+    """Of two actions' parameters, by the formula of an angle or of a plain number."""
+    if isinstance(space, Mixed):
+        angle = np.pi * (a[0] - b[0])
+        same = (a[1] > 0.0) == (b[1] > 0.0)
+        return np.exp(-2.0 * np.sin(angle / 2.0) ** 2 / LENGTHSCALE**2) * (1.0 if same else CORRELATION)
+    return np.exp(-0.5 * np.sum((a - b) ** 2) / LENGTHSCALE**2)
+
+
+def posterior(actions, totals, root_totals, points, space):
+    """Mean and variance at points, in standardised units."""
+    exists = totals[:, 0] > 0
+    (n, _, sums, squares), actions = totals[exists].T, actions[exists]
+    y = sums / n
+    centre, spread = y.mean(), y.var()
+    pooled = spread
+    for each in (root_totals, totals):
+        degrees = np.maximum(each[:, 0] - 1, 0).sum()
+        if degrees >= 3:
+            pooled = each[:, 3].sum() / degrees
+    variances = (2.0 * pooled + squares) / (2.0 + n - 1.0) / n / spread + NOISE
+    gram = np.array([[covariance(a, b, space) for b in actions] for a in actions])
+    cross = np.array([[covariance(a, b, space) for b in actions] for a in points])
+    solve = np.linalg.solve(
+        gram + np.diag(variances), np.column_stack([(y - centre) / np.sqrt(spread), cross.T])
+    )
+    return cross @ solve[:, 0], 1.0 - np.einsum("ij,ji->i", cross, solve[:, 1:])
+
+
+VDP = build(kinds("state-problem")["vdp-tag"]())
+
+
+@pytest.mark.parametrize("problem, name", [(drift(), "ucb"), (VDP, "ei")], ids=["box", "angle and level"])
+def test_the_proposal_is_that_of_the_posterior(problem, name):
+    acquisition = {"ucb": UpperConfidenceBound(number(2.0)), "ei": ExpectedImprovement(number(0.0))}[name]
+    rule = proposal(acquisition=acquisition)
+    belief = initial(problem, jax.random.key(1), 50)
+    tree = eqx.filter_jit(planner("pft", 150, proposal=rule).search)(jax.random.key(5), problem, belief)
+    space = problem.actions
+    visits = np.asarray(tree.totals[..., 0])
+    nodes = [ROOT, *np.argsort(-(visits[1:] > 0).sum(axis=1))[:2] + 1]
+    for node in nodes:
+        totals = np.asarray(tree.totals[node])
+        assert (totals[:, 0] > 0).sum() >= 3
+        key, at = jax.random.key(9), jnp.asarray(node, jnp.int32)
+        candidates = np.asarray(jax.vmap(space.sample)(jax.random.split(jnp.copy(key), 64)))
+        actions = np.asarray(tree.parameters[tree.children[node]])
+        root_totals = np.asarray(tree.totals[ROOT])
+        mean, variance = posterior(actions, totals, root_totals, candidates, space)
+        exists = totals[:, 0] > 0
+        incumbent = posterior(actions, totals, root_totals, actions[exists], space)[0].max()
+        std = np.sqrt(variance)
+        z = (mean - incumbent) / std
+        score = mean + 2.0 * std if name == "ucb" else std * (norm.pdf(z) + z * norm.cdf(z))
+        chosen = eqx.filter_jit(rule)(jnp.copy(key), space, tree, at, tree.totals[node])
+        np.testing.assert_allclose(chosen, candidates[np.argmax(score)])
+        random = eqx.filter_jit(proposal(num_initial=50))(key, space, tree, at, tree.totals[node])
+        np.testing.assert_allclose(random, candidates[0])
+
+
+def test_an_angle_has_no_wall_and_a_level_is_a_correlation():
+    space = VDP.actions
+    rule = proposal()
+    kernel = RBF(number(LENGTHSCALE))
+    near_zero, near_turn = jnp.asarray([-0.99, -0.5]), jnp.asarray([0.99, -0.5])
+    far = jnp.asarray([0.0, -0.5])
+    to = lambda a, b: float(kernel(space.coordinates(a), space.coordinates(b)))  # noqa: E731
+    assert to(near_zero, near_turn) == pytest.approx(np.exp(-2 * np.sin(0.01 * np.pi) ** 2 / LENGTHSCALE**2))
+    assert to(near_zero, far) < 0.01
+    assert isinstance(space, Mixed) and isinstance(space.box, Box)
+    for look in (-0.5, 0.5):
+        assert int(space.level(jnp.asarray([0.3, look]))) == int(space.decode(jnp.asarray([0.3, look]))[1])
+    assert rule.target == "return"
+
+
+def test_it_finds_the_best_of_many_actions_sooner_than_random_ones():
+    # An immediate reward that an action alone decides: 1 - (a - 0.37)^2, with noise of the belief.
+    problem = eqx.tree_at(lambda p: p.end, drift(), number(1e9))
+    belief = initial(problem, jax.random.key(1), 400)
+    belief = eqx.tree_at(lambda b: b.states, belief, belief.states * 0.05 - 0.6)
+
+    def error(rule):
+        search = planner("pft", 100, proposal=rule, depth=1, widening=(40.0, 0.01), exploration=0.5)
+        plan = jax.vmap(lambda key: search.plan(key, problem, belief).action[0], axis_name="lanes")
+        return np.abs(np.asarray(eqx.filter_jit(plan)(jax.random.split(jax.random.key(4), 24))) - 0.6).mean()
+
+    assert error(proposal("reward")) < error(RandomProposal())
