@@ -34,10 +34,29 @@ TEXT = "reproduction.md"
 Origin = tuple[tuple[str, str], ...]  # names and texts of what results were made by
 
 _NOTE = (
-    "Bounds, margins and windows that the thesis does not print are choices of bojax. They follow the word "
-    '"here" in the column of the thesis; take them as set after a first look at results. A verdict that '
+    "Bounds, margins and windows that {source} not print are choices of bojax. They follow the word "
+    '"here" in the column of {column}; take them as set after a first look at results. A verdict that '
     "rests on one is marked \N{DAGGER}."
 )
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a page says of where its claims come from."""
+
+    title: str
+    does: str  # what does or does not print something
+    printed: str  # heading of the printed numbers
+    column: str  # what they are called in a sentence
+
+    @property
+    def note(self) -> str:
+        """The paragraph on bounds."""
+        return _NOTE.format(source=self.does, column=self.column)
+
+
+THESIS = Words("Reproduction of the thesis", "the thesis does", "thesis", "the thesis")
+OTHERS = Words("Reproduction of published results", "publications do", "published", "published numbers")
 
 _HOLDS_IN = " The column `holds in` has the share of a multiverse's configurations that reproduce a claim."
 
@@ -290,14 +309,16 @@ def _write(
         (Row.of(sweep, entry) for sweep in sweeps for entry in sweep.entries), key=lambda row: row.order
     )
     chapters = [Chapter.of(*each) for each in groupby(rows, key=lambda row: row.chapter)]
+    words = THESIS if any(row.chapter for row in rows) or not rows else OTHERS
     manifests = [sweep.manifest for sweep in sweeps]
     origins = list(
         dict.fromkeys(each.origin for each in sorted(sweeps, key=lambda sweep: sweep.manifest.written))
     )
     values = {
-        "title": "Reproduction of the thesis",
-        "summary": _summary(sweeps, gaps),
-        "note": _NOTE + (_HOLDS_IN if any(row.claim.robustness for row in rows) else ""),
+        "title": words.title,
+        "words": words,
+        "summary": _summary(sweeps, gaps, words),
+        "note": words.note + (_HOLDS_IN if any(row.claim.robustness for row in rows) else ""),
         "counts": tally(row.claim for row in rows),
         "gaps": gaps,
         "chapters": chapters,
@@ -322,6 +343,7 @@ def _write(
                 counts=tally(row.claim for row in chapter.rows),
                 chapter=chapter,
                 main=f"../{page.name}",
+                words=words,
                 provenance=[],
                 footer=values["footer"],
             )
@@ -334,14 +356,14 @@ def _write(
             write_page(each, folder / f"multiverse-{each.name}{suffix}")
 
 
-def _summary(sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]]) -> str:
+def _summary(sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]], words: Words) -> str:
     entries = [entry for sweep in sweeps for entry in sweep.entries]
     claims = claims_among(entries)
     bounds = sum(claim.own_bound for claim in claims)
     others, changed = len(entries) - len(claims), sum(bool(claim.changed) for claim in claims)
     sentences = [
         f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: "
-        f"{verdicts_in_words(claims)}; {bounds} of them rest on a bound that the thesis does not print.",
+        f"{verdicts_in_words(claims)}; {bounds} of them rest on a bound that {words.does} not print.",
         causes_of(each for sweep in sweeps for each in sweep.explanations),
         f"Variants and checks, {others} in all, are shown beside them and not counted." if others else "",
         f"{counted(changed, 'claim')} {'was' if changed == 1 else 'were'} tested with changed settings."

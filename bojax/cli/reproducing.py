@@ -23,7 +23,8 @@ Run the sweeps of the thesis as one plan, and write the report of each sweep, on
 page for each chapter. The number of the thesis, the number found here and the verdict stand side by side.
 
 ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
-chapter5, or all: every sweep with claims of the thesis. Studies are run by name.
+chapter5, or all: every sweep with claims of the thesis. pomdp is a group of its own: published returns of
+POMDP solvers. Studies are run by name.
 
 --page runs nothing: it makes the page from results of several commands, of whatever age and machine. DIR is a
 results folder, or a folder above some. The newest results of each sweep count, and are judged by the claims

@@ -83,9 +83,9 @@ class Claim(Schema, frozen=True):
     entry_class: EntryClass = Field(
         default="claim",
         alias="class",
-        description="claim: a statement of the thesis, under the settings of the sweep; variant: the same "
-        "under other settings, or by another test; check: not in the thesis (the author's code, an exact "
-        "value, a consistency). Only claims are counted",
+        description="claim: a statement of the thesis, or of the publication that source names, under the "
+        "settings of the sweep; variant: the same under other settings, or by another test; check: in no "
+        "publication (the author's code, an exact value, a consistency). Only claims are counted",
     )
     own_bound: bool = Field(
         default=False,

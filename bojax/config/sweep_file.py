@@ -45,6 +45,9 @@ class Report(Schema, frozen=True):
     column: str | None = Field(
         default=None, description="column of runs.parquet that growth and sweep-curve draw"
     )
+    lines: dict[str, float] = Field(
+        default={}, description="horizontal lines of sweep-curve, such as published results, by name"
+    )
     rank_by: str | None = Field(
         default=None,
         description="column of runs.parquet by which points are ranked, with a minus sign if less is better",

@@ -17,32 +17,38 @@ CHAPTERS = {f"chapter{number}": f"{number}." for number in (3, 4, 5)}
 STUDY = "study-"
 """Prefix of sweeps that answer a question which the thesis leaves open."""
 
+OTHERS = {"pomdp": "pomdp-"}
+"""Groups of sweeps that reproduce results of others, and the prefixes of these sweeps."""
+
 _FIGURE = re.compile(r"(?:fig|table)-\d+\.\d+(?=\D)")
 
 
 def sweeps_of(name: str) -> list[str]:
-    """The sweeps that a name stands for: itself, or those of a figure, a table, a chapter or the thesis.
+    """The sweeps that a name stands for: itself, or those of a figure, table, chapter, group or the thesis.
 
     Raises:
         ConfigError: The name stands for no sweep.
     """
     sweeps = _sweeps()
+    if name in OTHERS:
+        return [each for each in sweeps if each.startswith(OTHERS[name])]
     if name == ALL or name in CHAPTERS:
-        of_thesis = [each for each in sweeps if not each.startswith(STUDY) and "claims" in sweeps[each]]
+        apart = STUDY, *OTHERS.values()
+        of_thesis = [each for each in sweeps if not each.startswith(apart) and "claims" in sweeps[each]]
         return [each for each in of_thesis if each.partition("-")[2].startswith(CHAPTERS.get(name, ""))]
     meant = [name] if name in sweeps else [each for each in sweeps if _is_part_of(each, name)]
     if not meant:
-        allowed = [ALL, *CHAPTERS, *sweeps]
+        allowed = [ALL, *CHAPTERS, *OTHERS, *sweeps]
         raise ConfigError(f"got {name}; allowed: {listed(name, allowed)}{did_you_mean(name, allowed)}")
     return meant
 
 
 def groups() -> dict[str, list[str]]:
-    """The names of figures, tables and chapters, and `all`, which stand for several sweeps, with these."""
+    """The names of figures, tables, chapters, other groups and `all`, each with the sweeps it stands for."""
     sweeps = _sweeps()
     figures = dict.fromkeys(match[0] for name in sweeps if (match := _FIGURE.match(name)))
     names = [name for name in figures if name not in sweeps]
-    return {name: sweeps_of(name) for name in (*names, *CHAPTERS, ALL)}
+    return {name: sweeps_of(name) for name in (*names, *CHAPTERS, *OTHERS, ALL)}
 
 
 def _sweeps() -> dict[str, dict[str, Any]]:

@@ -39,7 +39,9 @@ def test_all_is_every_sweep_with_claims_of_the_thesis_once():
     assert set(names) == {
         name
         for name, path in available("sweeps").items()
-        if load_sweep(name).claims and not name.startswith("study-") and "alias:" not in path.read_text()
+        if load_sweep(name).claims
+        and not name.startswith(("study-", "pomdp-"))
+        and "alias:" not in path.read_text()
     }
     chapters = [name for chapter in ("chapter3", "chapter4", "chapter5") for name in selected([chapter])]
     assert sorted(chapters) == sorted(names)
@@ -53,6 +55,7 @@ def test_ids(capsys):
         (["fig-5.2"], ["fig-5.2a", "fig-5.2b", "fig-5.2c", "fig-5.2d"]),
         (["table-5.1", "fig-5.3-taxi", "table-5.1"], ["table-5.1", "fig-5.3-taxi"]),
         (["study-jaco"], ["study-jaco"]),
+        (["pomdp"], ["pomdp-light-dark", "pomdp-vdp-tag"]),
     ):
         assert selected(ids) == names
     for name in ("fig-4.66", "fig-", "chapter6", "", "parkin"):
@@ -138,6 +141,21 @@ def test_sweeps_of_a_figure_and_one_page(reproduced, monkeypatch, capfd):
     monkeypatch.chdir(folder)
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 0
     assert "out/fig-9.1a: already finished" in capfd.readouterr().out
+
+
+def test_a_page_on_published_results_of_others_does_not_speak_of_the_thesis(two, capfd):
+    text = (SMALL % "pomdp-small").replace("Fig. 5.2, p. 100", "Somebody (2020)")
+    (two / "sweeps" / "pomdp-small.yaml").write_text(text)
+    assert main(["reproduce", "pomdp-small", "--out", "out"]) == 0
+    capfd.readouterr()
+    for page in ("reproduction.md", "reproduction.html", "reproduction/other.md", "reproduction/other.html"):
+        text = (two / "out" / page).read_text()
+        assert "the first is above the second" in text and "Somebody (2020)" in text
+        assert (
+            "thesis" not in text.partition("</style>")[2] if page.endswith("html") else "thesis" not in text
+        )
+    assert "# Reproduction of published results\n" in (two / "out" / "reproduction.md").read_text()
+    assert "| source | claim | verdict | published | here |" in (two / "out" / "reproduction.md").read_text()
 
 
 def test_ctrl_c_during_the_import_of_jax_is_not_lost(two, capfd, monkeypatch):

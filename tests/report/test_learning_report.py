@@ -225,6 +225,16 @@ class TestSweptNumber:
         other = replace(chains, manifest=chains.manifest.model_copy(update={"report": report}))
         assert drawn("sweep-curve", other).figure.axes[0].get_ylabel() == "mean episodes to goal"
 
+    def test_published_values_are_lines_with_their_names(self, chains):
+        report = chains.report.model_copy(update={"column": "episodes_to_goal", "lines": {"a paper": 7.25}})
+        drawing = drawn(
+            "sweep-curve", replace(chains, manifest=chains.manifest.model_copy(update={"report": report}))
+        )
+        axes = drawing.figure.axes[0]
+        assert any(set(np.ravel(line.get_ydata())) == {7.25} for line in axes.lines)
+        assert "a paper" in [text.get_text() for text in axes.texts]
+        assert "Dashed: a paper (7.25)." in drawing.caption
+
     def test_without_a_number_there_is_no_such_figure(self, folder):
         with pytest.raises(FigureUnavailable, match="no number to draw over"):
             draw("sweep-curve", load(folder))

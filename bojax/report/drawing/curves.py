@@ -1,7 +1,7 @@
 """Curves with bands over steps, episodes or swept numbers: figures extract the values, `Chart` draws them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
@@ -114,6 +114,17 @@ class Chart:
         if number is not None:
             for artist in artists:
                 artist.set_gid(f"curve-{number}-{next(self._parts)}")
+
+    def add_levels(self, levels: Mapping[str, float]) -> None:
+        """Draw a horizontal line at each value of the first panel, named at its right end."""
+        axes = self.axes[0]
+        for name, value in levels.items():
+            axes.axhline(value, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)), zorder=0.8)
+            at_right = axes.get_yaxis_transform()
+            text = style.drawn_text(name)
+            axes.text(
+                1.0, value, text, transform=at_right, ha="right", va="bottom", size="small", color=style.INK
+            )
 
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
         """The figure with the names of its curves, its caption and its alternative text.

@@ -8,7 +8,7 @@ from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
-from bojax.report.text import heading, is_number, joined
+from bojax.report.text import heading, is_number, joined, number
 
 RANK = 90
 
@@ -16,7 +16,12 @@ RANK = 90
 def draw(results: Results) -> Drawing:
     """The mean of `report.column` over the swept number `report.over`."""
     panel, over, column, note = swept_panel(results)
-    return Chart([panel], over, is_swept=True).drawing(f"{column} over {over}".capitalize(), note=note)
+    chart = Chart([panel], over, is_swept=True)
+    lines = results.report.lines
+    chart.add_levels(lines)
+    named = [f"{name} ({number(value)})" for name, value in lines.items()]
+    details = f"Dashed: {joined(named)}." if named else ""
+    return chart.drawing(f"{column} over {over}".capitalize(), details, note)
 
 
 def swept_panel(results: Results) -> tuple[Panel, str, str, str]:
