@@ -4,10 +4,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.models.checks import is_known
 from bojax.planning.base import Plan, Planner
 from bojax.planning.leaf_values import Policy
 from bojax.planning.oracles import policy_named
@@ -46,9 +46,7 @@ class BeliefPlanner(Planner):
 
 def check_policy(name: str, policy: Policy, problem: Problem) -> None:
     """Refuse a policy whose action for an initial belief is not one of the problem's, by a ValueError."""
-    if not isinstance(problem, StateProblem):
-        return
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((policy, problem))):
+    if not isinstance(problem, StateProblem) or not is_known(problem):
         return
     action, is_inside = _acted(policy, problem)
     if not is_inside:
