@@ -24,6 +24,10 @@ def assert_messages(load: Callable[[str], Any], given: Iterable[tuple[str, str]]
 EXPERIMENTS = """\
 planner: {kind: sbo, iteratons: 3}
 => x.yaml: planner.iteratons: unknown key; allowed: …; did you mean "iterations"?
+{problem: tiger, planner: sbo}
+=> x.yaml: experiment: got {…; planner: got sbo; the actions of tiger are vectors; allowed: …pft-dpw…
+planner: pomcpow
+=> x.yaml: experiment: got {…; planner: got pomcpow; the actions of parking are paths; allowed: kcbts, …
 plannr: sbo
 => x.yaml: plannr: unknown key; allowed: …; did you mean "planner"?
 planner: {kind: random, depth: 3}

@@ -19,11 +19,16 @@ from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
 from bojax.numerics.lanes import LANES
 from bojax.planning import oracles
+from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_planner import PolicyPlanner
+from bojax.planning.random import RandomPlanner
 from bojax.problems import particles
 from bojax.problems.actions import Box
 from bojax.problems.pomdp.sub_hunt_values import solve
 from bojax.problems.state_space import StateProblem
+from tests.motions.families import kernel
+from tests.planning.samples import parking
+from tests.refusals import assert_refused
 
 SMALL = ["planner.iterations=12", "problem.num_particles=64", "problem.max_steps=6", "planner.depth=4"]
 
@@ -178,6 +183,37 @@ def test_the_filter_of_an_episode_is_given():
     run = PlanningEpisode(Unfiltered(num_particles=8), PolicyPlanner(always))
     found = summaries(run, jax.random.split(jax.random.key(0), 1))
     assert (found["steps"][0], found["collapses"][0]) == (4, 0)
+
+
+class Forward(Planner):
+    """A user's planner, which is neither a search nor a policy."""
+
+    @override
+    def plan(self, key, problem, belief):
+        return Plan(jnp.ones(1), None, jnp.zeros(()), jnp.ones((), jnp.int32))
+
+
+def test_any_planner_runs_on_a_state_problem():
+    run = PlanningEpisode(Counter(num_particles=8), Forward())
+    assert summaries(run, jax.random.split(jax.random.key(0), 1))["return"][0] == 1 + 2 + 3 + 4
+
+
+def test_planners_and_problems_with_other_actions_are_refused():
+    on_paths, policy = RandomPlanner(kernel()), PolicyPlanner(always)
+    assert_refused(
+        [
+            (
+                lambda: PlanningEpisode(Counter(), on_paths),
+                "^planner: .* plans paths, which Counter does not",
+            ),
+            (
+                lambda: PlanningEpisode(parking(), policy),
+                "^planner: .* does not plan paths, which Parking needs",
+            ),
+            (lambda: PlanningEpisode(parking(), Forward()), "^planner: .* allowed: a PathPlanner"),
+            (lambda: Counter(num_particles=0), "^num_particles: got 0; allowed: >= 1"),
+        ]
+    )
 
 
 def test_every_policy_has_a_name_in_the_settings():
