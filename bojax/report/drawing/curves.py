@@ -117,14 +117,24 @@ class Chart:
 
     def add_levels(self, levels: Mapping[str, float]) -> None:
         """Draw a horizontal line at each value of the first panel, named at its right end."""
-        axes = self.axes[0]
-        for name, value in levels.items():
+        axes, above = self.axes[0], np.inf
+        for value in levels.values():
             axes.axhline(value, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)), zorder=0.8)
-            at_right = axes.get_yaxis_transform()
-            text = style.drawn_text(name)
+        low, high = axes.get_ylim()
+        for name, value in sorted(levels.items(), key=lambda level: -level[1]):
+            # A name that would cover the one above it is written below its line.
+            is_covered = above - value < 0.06 * (high - low)
             axes.text(
-                1.0, value, text, transform=at_right, ha="right", va="bottom", size="small", color=style.INK
+                0.99,
+                value,
+                style.drawn_text(name),
+                transform=axes.get_yaxis_transform(),
+                ha="right",
+                va="top" if is_covered else "bottom",
+                size="small",
+                color=style.INK,
             )
+            above = value
 
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
         """The figure with the names of its curves, its caption and its alternative text.

@@ -12,11 +12,20 @@ from bojax.report.text import heading, is_number, joined, number
 
 RANK = 90
 
+WIDE = 50
+"""Ratio of the greatest to the least swept number from which the axis is logarithmic."""
+
 
 def draw(results: Results) -> Drawing:
     """The mean of `report.column` over the swept number `report.over`."""
     panel, over, column, note = swept_panel(results)
     chart = Chart([panel], over, is_swept=True)
+    x = np.concatenate([curve.x for curve in panel.curves])
+    if 0 < WIDE * x.min() <= x.max():
+        axes, ticks = chart.axes[0], np.unique(x)
+        axes.set_xscale("log")
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
     lines = results.report.lines
     chart.add_levels(lines)
     named = [f"{name} ({number(value)})" for name, value in lines.items()]
