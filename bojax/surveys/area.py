@@ -1,0 +1,235 @@
+"""Areas to survey: polygons with holes and no-go zones in metres, and the distance to their border."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+Ring = np.ndarray
+"""Corners of a closed line, `[P, 2]` in metres; the last corner is joined to the first."""
+
+PAIRS = 4_000_000  # of a point and an edge that are held in memory at once
+LARGEST_GRID = 4_000_000  # cells of a grid
+
+
+class DistanceGrid(eqx.Module):
+    """Signed distance to the border of an area on a regular grid, m; negative outside.
+
+    It costs the same for every outline: four values are read at each point.
+
+    Attributes:
+        values: Distances at the grid points; the first axis is y, the second x, both increasing.
+        origin: Position of `values[0, 0]`, m.
+        spacing: Distance between two grid points, m.
+    """
+
+    values: Float[Array, "H W"]
+    origin: Float[Array, "2"]
+    spacing: Float[Array, ""]
+
+    def __call__(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
+        """Distance at points, interpolated bilinearly; differentiable.
+
+        Beyond the grid, the distance to the grid is subtracted from the value on its edge.
+        """
+        height, width = self.values.shape
+        x = (points[..., 0] - self.origin[0]) / self.spacing
+        y = (points[..., 1] - self.origin[1]) / self.spacing
+        column, x_share, x_beyond = _cell(x, width)
+        row, y_share, y_beyond = _cell(y, height)
+        lower = _blend(self.values[row, column], self.values[row, column + 1], x_share)
+        upper = _blend(self.values[row + 1, column], self.values[row + 1, column + 1], x_share)
+        return _blend(lower, upper, y_share) - self.spacing * _length(x_beyond, y_beyond)
+
+
+def _cell(
+    x: Float[Array, "*N"], size: int
+) -> tuple[Int[Array, "*N"], Float[Array, "*N"], Float[Array, "*N"]]:
+    """The cell of a coordinate, the position in it from 0 to 1, and the distance beyond the grid."""
+    inside = jnp.clip(x, 0.0, size - 1.0)
+    cell = jnp.minimum(jnp.floor(inside), size - 2.0)
+    return cell.astype(jnp.int32), inside - cell, x - inside
+
+
+def _blend(
+    first: Float[Array, "*N"], second: Float[Array, "*N"], share: Float[Array, "*N"]
+) -> Float[Array, "*N"]:
+    return (1.0 - share) * first + share * second
+
+
+def _length(x: Float[Array, "*N"], y: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    squared = x**2 + y**2
+    is_zero = squared == 0.0  # where a root has an infinite gradient
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """An area in the plane: polygons with holes, without no-go zones. Immutable.
+
+    Attributes:
+        outline: Borders of the polygons and of their holes, in any order: a point is inside if a ray from it
+            crosses them an odd number of times.
+        avoid: No-go zones, each given by the borders of its polygons and holes; zones may overlap.
+    """
+
+    outline: tuple[Ring, ...]
+    avoid: tuple[tuple[Ring, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.outline:
+            raise ValueError("area: has no outline; allowed: at least one ring of three corners")
+        object.__setattr__(self, "outline", tuple(map(_ring, self.outline)))
+        object.__setattr__(self, "avoid", tuple(tuple(map(_ring, zone)) for zone in self.avoid))
+
+    @classmethod
+    def rectangle(cls, x_min: float, y_min: float, x_max: float, y_max: float) -> "Area":
+        """A rectangle, m.
+
+        Raises:
+            ValueError: A side has no length.
+        """
+        if not (x_min < x_max and y_min < y_max):
+            raise ValueError(f"area: got sides of {x_max - x_min:g} and {y_max - y_min:g} m; allowed: > 0")
+        return cls((np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]]),))
+
+    def without(self, zones: Iterable[Sequence[Ring]]) -> "Area":
+        """The area with more no-go zones."""
+        return Area(self.outline, (*self.avoid, *map(tuple, zones)))
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """`(x_min, y_min, x_max, y_max)` of the outline, m."""
+        corners = np.concatenate(self.outline)
+        (x_min, y_min), (x_max, y_max) = corners.min(0), corners.max(0)
+        return float(x_min), float(y_min), float(x_max), float(y_max)
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """Whether each of the points `[N, 2]` is in the area, which its border belongs to up to rounding."""
+        points = np.asarray(points, float).reshape(-1, 2)
+        inside = _is_inside(self.outline, points)
+        for zone in self.avoid:
+            inside &= ~_is_inside(zone, points)
+        return inside
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Signed distance of the points `[N, 2]` to the border, m, negative outside.
+
+        It is exact inside the area. Outside, where an exact distance would have to follow the border of a
+        union, it is the largest distance that one of the outline and the zones asks for, which may be too
+        small, but has the right sign.
+        """
+        points = np.asarray(points, float).reshape(-1, 2)
+        distance = _signed_distance(self.outline, points)
+        for zone in self.avoid:
+            distance = np.minimum(distance, -_signed_distance(zone, points))
+        return distance
+
+    def distance_grid(self, spacing: float) -> DistanceGrid:
+        """The signed distance on a grid that extends beyond the outline by two cells.
+
+        Raises:
+            ValueError: The grid would have too many points.
+        """
+        x_min, y_min, x_max, y_max = self.bounds
+        columns, rows = (
+            _axis(x_min - 2 * spacing, x_max + 2 * spacing, spacing),
+            _axis(y_min - 2 * spacing, y_max + 2 * spacing, spacing),
+        )
+        points = _mesh(columns, rows)
+        values = self.distances(points).reshape(len(rows), len(columns))
+        return DistanceGrid(
+            jnp.asarray(values), jnp.asarray([columns[0], rows[0]]), jnp.asarray(float(spacing))
+        )
+
+    def grid(self, spacing: float) -> np.ndarray:
+        """Centres `[M, 2]` of the cells of a square grid that are in the area, m.
+
+        Raises:
+            ValueError: The grid would have too many cells, or no cell of it is in the area.
+        """
+        x_min, y_min, x_max, y_max = self.bounds
+        half = spacing / 2
+        points = _mesh(_axis(x_min + half, x_max, spacing), _axis(y_min + half, y_max, spacing))
+        inside = points[self.contains(points)]
+        if not len(inside):
+            raise ValueError(f"area: no cell of {spacing:g} m lies in it; allowed: a smaller spacing")
+        return inside
+
+
+def _ring(corners: np.ndarray) -> Ring:
+    """The corners of a ring as read-only numbers, without a last one that repeats the first.
+
+    Raises:
+        ValueError: The ring has fewer than three corners, or a corner is not finite.
+    """
+    ring = np.array(corners, float)
+    if ring.ndim != 2 or ring.shape[1] != 2:
+        raise ValueError(f"area: got a ring of shape {ring.shape}; allowed: rows of x and y")
+    if not np.isfinite(ring).all():
+        raise ValueError("area: a corner is not finite; allowed: numbers in metres")
+    if len(ring) > 1 and (ring[0] == ring[-1]).all():
+        ring = ring[:-1]
+    if len(ring) < 3:
+        raise ValueError(f"area: got a ring of {len(ring)} corners; allowed: at least 3")
+    ring.flags.writeable = False
+    return ring
+
+
+def _axis(low: float, high: float, spacing: float) -> np.ndarray:
+    if not spacing > 0 or not np.isfinite(spacing):
+        raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
+    number = int(min(np.ceil((high - low) / spacing), LARGEST_GRID)) + 1
+    return low + spacing * np.arange(number)
+
+
+def _mesh(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Points `[H * W, 2]` of a grid, row by row.
+
+    Raises:
+        ValueError: There are too many.
+    """
+    if len(columns) * len(rows) > LARGEST_GRID:
+        raise ValueError(
+            f"spacing: the grid would have more than {LARGEST_GRID:,} points; allowed: a larger one"
+        )
+    x, y = np.meshgrid(columns, rows)
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def _edges(rings: Sequence[Ring]) -> tuple[np.ndarray, np.ndarray]:
+    """First and last points `[E, 2]` of the edges of some rings."""
+    return np.concatenate(list(rings)), np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+
+
+def _is_inside(rings: Sequence[Ring], points: np.ndarray) -> np.ndarray:
+    """Whether a ray in the direction of x crosses the rings an odd number of times, for each point."""
+    first, last = _edges(rings)
+    rise = last[:, 1] - first[:, 1]
+    slope = (last[:, 0] - first[:, 0]) / np.where(rise == 0.0, 1.0, rise)  # a level edge is never crossed
+    inside = np.zeros(len(points), bool)
+    step = max(1, PAIRS // len(first))
+    for begin in range(0, len(points), step):
+        x, y = points[begin : begin + step, :, None].transpose(1, 0, 2)
+        spans = (first[:, 1] > y) != (last[:, 1] > y)
+        crossed = spans & (x < first[:, 0] + (y - first[:, 1]) * slope)
+        inside[begin : begin + step] = crossed.sum(1) % 2 == 1
+    return inside
+
+
+def _signed_distance(rings: Sequence[Ring], points: np.ndarray) -> np.ndarray:
+    """Distance to the nearest edge of the rings, negative outside."""
+    first, last = _edges(rings)
+    along = last - first
+    squared = np.maximum((along**2).sum(1), np.finfo(float).tiny)  # a repeated corner has no length
+    distance = np.empty(len(points))
+    step = max(1, PAIRS // len(first))
+    for begin in range(0, len(points), step):
+        offset = points[begin : begin + step, None] - first
+        share = np.clip((offset * along).sum(-1) / squared, 0.0, 1.0)
+        nearest = ((offset - share[..., None] * along) ** 2).sum(-1).min(1)
+        distance[begin : begin + step] = np.sqrt(nearest)
+    return np.where(_is_inside(rings, points), distance, -distance)

@@ -1,0 +1,73 @@
+"""Areas, and the distance to their border."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.surveys.area import Area
+
+HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
+L_SHAPE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [3.0, 3.0], [3.0, 8.0], [0.0, 8.0]])
+SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)
+RING = Area((*SQUARE.outline, HOLE))
+
+
+def test_a_hole_is_outside_like_a_zone() -> None:
+    points = np.random.default_rng(0).uniform(-1.0, 11.0, (500, 2))
+    in_hole = ((points > 4.0) & (points < 6.0)).all(1)
+    expected = ((points > 0.0) & (points < 10.0)).all(1) & ~in_hole
+    np.testing.assert_array_equal(RING.contains(points), expected)
+    np.testing.assert_array_equal(SQUARE.without([[HOLE]]).contains(points), expected)
+
+
+def test_overlapping_zones_are_one_zone() -> None:
+    area = SQUARE.without([[HOLE], [HOLE + 1.0]])
+    assert not area.contains(np.array([[5.5, 5.5], [4.5, 4.5], [6.5, 6.5]])).any()
+    assert area.distances(np.array([[5.5, 5.5]]))[0] < 0.0
+
+
+@pytest.mark.parametrize("area", [RING, SQUARE.without([[HOLE]]), Area((L_SHAPE,))])
+def test_distances_agree_with_shapely(area: Area) -> None:
+    shapely = pytest.importorskip("shapely")
+    polygon = shapely.Polygon(
+        area.outline[0], [*area.outline[1:], *(ring for zone in area.avoid for ring in zone)]
+    )
+    points = np.random.default_rng(1).uniform(-2.0, 12.0, (300, 2))
+    shapes = shapely.points(points)
+    unsigned = shapely.distance(polygon.boundary, shapes)
+    expected = np.where(shapely.contains(polygon, shapes), unsigned, -unsigned)
+    np.testing.assert_allclose(area.distances(points), expected, atol=1e-12)
+
+
+def test_a_distance_grid_interpolates_and_its_gradient_points_inside() -> None:
+    grid = RING.distance_grid(0.1)
+    points = np.random.default_rng(2).uniform(0.0, 10.0, (400, 2))
+    np.testing.assert_allclose(grid(jnp.asarray(points)), RING.distances(points), atol=0.08)
+    far = jnp.asarray([30.0, 5.0])
+    np.testing.assert_allclose(grid(far), -20.0, atol=0.01)
+    np.testing.assert_allclose(jax.grad(grid)(far), [-1.0, 0.0], atol=1e-3)
+    assert np.isfinite(jax.vmap(jax.grad(grid))(jnp.asarray(points))).all()
+
+
+def test_a_grid_has_the_size_of_the_area() -> None:
+    points = RING.grid(0.1)
+    assert RING.contains(points).all()
+    assert len(points) * 0.01 == pytest.approx(96.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Area(()), "has no outline"),
+        (lambda: Area((np.eye(2),)), "2 corners"),
+        (lambda: Area((np.array([[0.0, 0.0], [1.0, np.nan], [1.0, 1.0]]),)), "not finite"),
+        (lambda: Area.rectangle(0.0, 0.0, 0.0, 1.0), "allowed: > 0"),
+        (lambda: SQUARE.grid(0.0), "spacing"),
+        (lambda: SQUARE.grid(1e-5), "more than"),
+        (lambda: Area((np.array([[0.0, 0.0], [1e-3, 0.0], [0.0, 1e-3]]),)).grid(10.0), "no cell"),
+    ],
+)
+def test_bad_areas_are_refused(make, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
