@@ -2,6 +2,7 @@
 
 OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
+    "geo": ("rasterio", "GeoTIFF, NetCDF, map projections and bojax survey"),
     "ray": ("ray", "--launcher ray"),
     "tensorboard": ("tensorboardX", "bojax export --to tensorboard"),
     "wandb": ("wandb", "bojax export --to wandb"),

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bojax.config.limits import NUMBERS, TEXT, read_within
+from bojax.fields.raster import with_holes
+from bojax.fields.text_table import parse_table
 from bojax.models.settings import GREATEST
 from bojax.text import one_line
 
@@ -13,15 +15,60 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-def read_array(file: str) -> "np.ndarray":
+def read_array(file: str, allows_holes: bool = False) -> "np.ndarray":
     """The table in a `.npy` or `.csv` file; a header line of a CSV file is skipped.
+
+    Args:
+        file: Its name; a CSV file may have any delimiter.
+        allows_holes: Whether numbers may be NaN, which is also put for those that mean missing data.
 
     Raises:
         ValueError: The file cannot be read, or is not a table of finite numbers. The message is one line.
     """
+    return _read_table(file, allows_holes)[0]
+
+
+def read_points(file: str) -> "tuple[np.ndarray, list[str]]":
+    """Rows of x, y and value in a `.csv`, `.xyz`, `.txt` or `.npy` file, and the names of these columns.
+
+    Columns are chosen by their names (x or lon, y or lat, and z, value, depth, ... or the only other one);
+    without names there must be three. Rows without data are left out.
+
+    Raises:
+        ValueError: The file cannot be read, or has no such columns. The message is one line.
+    """
+    table, names = _read_table(file, allows_holes=True)
+    columns = _columns(names) if names else None
+    if columns is None:
+        if table.shape[1] != 3:
+            raise ValueError(f"{file}: got {table.shape[1]} columns; allowed: 3, which are x, y and value")
+        columns = [0, 1, 2]
+    table = table[:, columns]
+    table = table[(table == table).all(axis=1)]
+    if not len(table):
+        raise ValueError(f"{file}: no row has data")
+    return table, [names[column] for column in columns] if names else []
+
+
+X_NAMES = ("x", "lon", "longitude", "east", "easting")
+Y_NAMES = ("y", "lat", "latitude", "north", "northing")
+VALUE_NAMES = ("z", "value", "values", "depth", "elevation", "height", "measurement")
+
+
+def _columns(names: list[str]) -> list[int] | None:
+    """The columns of x, y and value among named ones, None if they cannot be told apart."""
+    found = [next((names.index(n) for n in known if n in names), None) for known in (X_NAMES, Y_NAMES)]
+    rest = [column for column in range(len(names)) if column not in found]
+    values = [column for column in rest if names[column] in VALUE_NAMES] or rest
+    if None in found or len(values) != 1:
+        return None
+    return [*(column for column in found if column is not None), values[0]]
+
+
+def _read_table(file: str, allows_holes: bool) -> "tuple[np.ndarray, list[str]]":
     import numpy as np  # not at the start of every command
 
-    path = Path(file)
+    path, names = Path(file), list[str]()
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
         raise ValueError(f"{file}: is not a regular file")
     try:
@@ -29,11 +76,8 @@ def read_array(file: str) -> "np.ndarray":
             # Mapped rather than read: a header may claim more numbers than the file or the memory holds.
             with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
-        elif path.suffix == ".csv":
-            lines = _rows(read_within(TEXT, path, file).decode())
-            if not lines:
-                raise ValueError(f"{file}: holds no numbers")
-            table = np.loadtxt(lines, delimiter=",", ndmin=2)
+        elif path.suffix in (".csv", ".xyz", ".txt"):
+            table, names = parse_table(read_within(TEXT, path, file).decode())
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     except OSError as error:
@@ -51,29 +95,19 @@ def read_array(file: str) -> "np.ndarray":
     NUMBERS.check(table.size, file)
     with np.errstate(over="ignore"):  # numbers beyond the range of float64 become infinite
         table = np.array(table, np.float64)
+    if allows_holes:
+        table = with_holes(table)
     bad = int((~np.isfinite(table)).sum())
-    if bad:
+    if bad and not allows_holes:
         raise ValueError(f"{file}: {bad} of {table.size} numbers are not finite")
-    if (largest := np.abs(table).max()) > GREATEST:
+    if bad == table.size:
+        raise ValueError(f"{file}: no cell has data")
+    if (largest := np.nanmax(np.abs(table))) > GREATEST:
         raise ValueError(f"{file}: got {largest:g}; allowed: numbers up to {GREATEST:g} in magnitude")
-    return table
+    return table, names
 
 
 def sha256_of(file: str) -> str:
     """The SHA-256 of a file's content."""
     with Path(file).open("rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()
-
-
-def _rows(text: str) -> list[str]:
-    """The lines without comments, and without the header if there is one."""
-    lines = [line for line in (line.partition("#")[0] for line in text.splitlines()) if line.strip()]
-    return lines if not lines or _is_numbers(lines[0]) else lines[1:]
-
-
-def _is_numbers(line: str) -> bool:
-    try:
-        [float(cell) for cell in line.split(",")]
-    except ValueError:
-        return False
-    return True

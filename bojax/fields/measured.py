@@ -5,10 +5,11 @@ import numpy as np
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float, Scalar
 from scipy.interpolate import griddata
+from scipy.ndimage import distance_transform_edt
 from typing_extensions import override
 
 from bojax.fields.base import Field
-from bojax.fields.data import read_array
+from bojax.fields.raster_files import read_local_points, read_raster
 
 
 class GridField(Field):
@@ -23,13 +24,22 @@ class GridField(Field):
     table: Float[Array, "H W"]
     extent: Float[Array, "4"]
 
-    def __init__(self, file: str, extent: Float[Array, "4"], sha256: str | None = None):
-        """Read the grid from a `.npy` or `.csv` file; `sha256` is checked with the settings.
+    def __init__(
+        self, file: str, extent: Float[Array, "4"], sha256: str | None = None, holes: str = "refuse"
+    ):
+        """Read the grid from a file; `sha256` and `holes` are checked with the settings.
+
+        Cells without data have the value of the nearest cell with data.
 
         Raises:
-            ValueError: The file is not a grid of at least 2 x 2 finite numbers.
+            ValueError: The file holds no grid of at least 2 x 2 numbers.
         """
-        self.table = jnp.asarray(read_array(file), extent.dtype)
+        raster = read_raster(file)
+        values = raster.values
+        if raster.is_hole.any():
+            nearest = distance_transform_edt(raster.is_hole, return_distances=False, return_indices=True)
+            values = values[tuple(np.asarray(nearest))]
+        self.table = jnp.asarray(values, extent.dtype)
         self.extent = extent
 
     @override
@@ -54,12 +64,12 @@ class ScatteredField(Field):
     def __init__(
         self, file: str, extent: Float[Array, "4"], resolution: int = 101, sha256: str | None = None
     ):
-        """Read rows of x, y and value from a `.npy` or `.csv` file.
+        """Read rows of x, y and value from a file.
 
         Raises:
             ValueError: The file is not a table of three columns of finite numbers.
         """
-        rows = read_array(file)
+        rows = read_local_points(file)
         low_x, low_y, high_x, high_y = np.asarray(extent)
         x, y = np.meshgrid(np.linspace(low_x, high_x, resolution), np.linspace(low_y, high_y, resolution))
         nearest = griddata(rows[:, :2], rows[:, 2], (x, y), method="nearest")

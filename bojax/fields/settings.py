@@ -2,6 +2,7 @@
 
 import abc
 import math
+import os
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
@@ -10,7 +11,8 @@ from typing_extensions import override
 
 from bojax.config.component import RECORDED, Component
 from bojax.config.limits import CELLS, square
-from bojax.fields.data import read_array, sha256_of
+from bojax.fields.data import sha256_of
+from bojax.fields.raster_files import FORMATS, local_extent, read_local_points, read_raster
 from bojax.models.settings import GREATEST
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -109,15 +111,19 @@ class Blocks(FieldSettings, frozen=True):
 
 
 class _Measured(FieldSettings, frozen=True):
-    file: str = Field(min_length=1, description="a .npy or .csv file, relative to the working directory")
-    extent: Box = Field(
-        description="area of the data or outermost grid points, [x_min, y_min, x_max, y_max], m"
+    file: str = Field(min_length=1, description=f"a file relative to the working directory: {FORMATS}")
+    extent: Box | None = Field(
+        default=None,
+        description="area of the data or outermost grid points, [x_min, y_min, x_max, y_max], m; null for "
+        "that of the file, from [0, 0] if its coordinates are degrees or a map projection",
     )
     sha256: str | None = Field(default=None, description="SHA-256 of the file; null to compute it")
 
     @pydantic.field_validator("extent")
     @classmethod
     def _proper_extent(cls, extent: Any) -> Any:
+        if extent is None:
+            return None
         if max(map(abs, extent)) > GREATEST:
             raise ValueError(f"allowed: numbers up to {GREATEST:g} in magnitude")
         return proper_box(extent)
@@ -126,9 +132,11 @@ class _Measured(FieldSettings, frozen=True):
     def _readable(self, info: pydantic.ValidationInfo) -> "_Measured":
         if info.context is RECORDED and self.sha256 is not None:
             return self
-        table = read_array(self.file)
-        self._check(table.shape)
-        digest = sha256_of(self.file)
+        extent = self._check()
+        digest = sha256_of(self.file.partition(":")[0] if not os.path.exists(self.file) else self.file)
+        if self.extent is None:
+            # The results record the extent, as drawings of them need it without the file.
+            object.__setattr__(self, "extent", proper_box(extent))
         if self.sha256 is None:
             # Results record the data that they were computed from; a run resumes with the same data only.
             object.__setattr__(self, "sha256", digest)
@@ -137,20 +145,32 @@ class _Measured(FieldSettings, frozen=True):
         return self
 
     @abc.abstractmethod
-    def _check(self, shape: tuple[int, ...]) -> None:
-        """Refuse a table of the wrong shape."""
+    def _check(self) -> tuple[float, float, float, float]:
+        """The extent of the data in the file, m.
+
+        Raises:
+            ValueError: The file cannot be read, or holds other data.
+        """
 
 
 class Grid(_Measured, frozen=True):
-    """Values on a regular grid; the first axis is y, the second x, both increasing."""
+    """Values on a regular grid; in a table of numbers, the first axis is y, the second x, both increasing."""
 
     target: ClassVar[str] = "bojax.fields.measured:GridField"
     kind: Literal["grid"] = "grid"
+    holes: Literal["refuse", "nearest"] = Field(
+        default="refuse",
+        description="cells without data are an error, or have the value of the nearest cell with data",
+    )
 
     @override
-    def _check(self, shape: tuple[int, ...]) -> None:
-        if min(shape) < 2:
-            raise ValueError(f"{self.file}: got a grid of {shape[0]} x {shape[1]}; allowed: at least 2 x 2")
+    def _check(self) -> tuple[float, float, float, float]:
+        raster = read_raster(self.file)
+        number, size = int(raster.is_hole.sum()), raster.values.size
+        if number and self.holes == "refuse":
+            allowed = 'allowed: data in all, or holes: "nearest"'
+            raise ValueError(f"{self.file}: {number} of {size} cells have no data; {allowed}")
+        return local_extent(raster)
 
 
 class Scattered(_Measured, frozen=True):
@@ -163,6 +183,7 @@ class Scattered(_Measured, frozen=True):
     )
 
     @override
-    def _check(self, shape: tuple[int, ...]) -> None:
-        if shape[1] != 3:
-            raise ValueError(f"{self.file}: got {shape[1]} columns; allowed: 3, which are x, y and value")
+    def _check(self) -> tuple[float, float, float, float]:
+        rows = read_local_points(self.file)
+        (x_min, y_min), (x_max, y_max) = rows[:, :2].min(0), rows[:, :2].max(0)
+        return float(x_min), float(y_min), float(x_max), float(y_max)

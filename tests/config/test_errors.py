@@ -114,7 +114,7 @@ planner: {kind: sbo, motions: kernel}
 {problem: {kind: monitoring, field: {kind: grid, file: good.csv, extent: [0, 1, 1, 0]}}, planner: sbo}
 => x.yaml: problem.field.extent: got [0, 1, 1, 0]; allowed: [x_min, y_min, x_max, y_max] with …
 {problem: {kind: monitoring, field: {kind: grid, file: nan.csv, extent: [0, 0, 1, 1]}}, planner: sbo}
-=> x.yaml: problem.field: got {…; nan.csv: 1 of 4 numbers are not finite
+=> x.yaml: problem.field: got {…; nan.csv: 1 of 4 cells have no data; allowed: data in all, …
 {problem: {kind: monitoring, field: {kind: grid, file: row.csv, extent: [0, 0, 1, 1]}}, planner: sbo}
 => x.yaml: problem.field: got {…; row.csv: got a grid of 1 x 3; allowed: at least 2 x 2
 {problem: {kind: monitoring, field: {kind: grid, file: words.csv, extent: [0, 0, 1, 1]}}, planner: sbo}

@@ -1,0 +1,223 @@
+"""Readers of rasters: GeoTIFF, NetCDF, ESRI ASCII, XYZ, NumPy files and tables of numbers."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bojax.config.extras import MissingExtra
+from bojax.config.limits import NUMBERS, TEXT, read_within
+from bojax.fields.data import X_NAMES, Y_NAMES, read_array, read_points
+from bojax.fields.projection import Projection
+from bojax.fields.raster import DEGREES, Raster, regular, thinning
+from bojax.text import one_line
+
+if TYPE_CHECKING:
+    import numpy as np
+
+_WITH_RASTERIO = (".tif", ".tiff", ".nc", ".nc4")
+_TABLES = (".npy", ".csv")
+_GRIDS = (".asc", ".npz", ".xyz")
+SUFFIXES = (*_TABLES, *_GRIDS, *_WITH_RASTERIO)
+"""Endings of the names of files that hold rasters."""
+
+FORMATS = ".npy, .npz, .csv, .xyz, .asc (ESRI ASCII), and with the extra `geo` .tif and .nc"
+
+
+def read_raster(file: str, most: int | None = None) -> Raster:
+    """The raster in a file, thinned to at most `most` cells, by default as many as the memory allows.
+
+    A NetCDF file with several variables needs the name of one: `FILE.nc:NAME`.
+
+    Raises:
+        ValueError: The file cannot be read, or holds no raster; the message is one line that begins with
+            the name of the file.
+        MissingExtra: The format needs the extra `geo`.
+    """
+    most = NUMBERS.allowed if most is None else most
+    path, _, variable = file.rpartition(":") if _has_variable(file) else (file, "", "")
+    suffix = Path(path).suffix.lower()
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
+        raise ValueError(f"{file}: is not a regular file")
+    try:
+        if suffix in _WITH_RASTERIO:
+            return _read_with_rasterio(path, variable, most)
+        return _read_plain(file, suffix).thinned(most)
+    except OSError as error:
+        raise ValueError(f"{file}: {error.strerror or one_line(error)}") from error
+    except ImportError:
+        raise
+    except Exception as error:  # a damaged file raises many types of exceptions
+        message = one_line(error)
+        raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error
+
+
+def local_extent(raster: Raster) -> tuple[float, float, float, float]:
+    """The extent of a raster in metres, `(x_min, y_min, x_max, y_max)`."""
+    import numpy as np
+
+    corners = np.array(raster.extent).reshape(2, 2)
+    x_min, y_min, x_max, y_max = Projection.of(raster.crs, raster.extent).to_local(corners).ravel()
+    return float(x_min), float(y_min), float(x_max), float(y_max)
+
+
+def read_local_points(file: str) -> "np.ndarray":
+    """Rows of x, y and value in a file, in metres; longitudes and latitudes are projected.
+
+    Raises:
+        ValueError: The file cannot be read, or has no such columns. The message is one line.
+    """
+    rows, names = read_points(file)
+    if names and names[0].startswith("lon"):
+        (x_min, y_min), (x_max, y_max) = rows[:, :2].min(0), rows[:, :2].max(0)
+        extent = float(x_min), float(y_min), float(x_max), float(y_max)
+        rows[:, :2] = Projection.of(DEGREES, extent).to_local(rows[:, :2])
+    return rows
+
+
+def _has_variable(file: str) -> bool:
+    return not os.path.exists(file) and Path(file.rpartition(":")[0]).suffix.lower() in (".nc", ".nc4")
+
+
+def _read_plain(file: str, suffix: str) -> Raster:
+    import numpy as np
+
+    if suffix == ".asc":
+        return _read_ascii(file)
+    if suffix == ".npz":
+        return _read_archive(file)
+    if suffix == ".xyz":
+        return _pivoted(*read_points(file), file)
+    table = read_array(file, allows_holes=True)
+    return regular(table, np.arange(table.shape[1]), np.arange(table.shape[0]), None, file)
+
+
+def _read_ascii(file: str) -> Raster:
+    """A raster of ESRI, whose first row is the northernmost; the projection is that of a `.prj` file."""
+    import numpy as np
+
+    lines = read_within(TEXT, Path(file), file).decode().splitlines()
+    header: dict[str, float] = {}
+    while lines and lines[0].split()[:1] and lines[0].split()[0][0].isalpha():
+        key, value = (lines.pop(0).split() + [""])[:2]
+        header[key.lower()] = float(value)
+    if lacking := {"ncols", "nrows", "cellsize"} - header.keys():
+        raise ValueError(f"the header lacks {', '.join(sorted(lacking))}")
+    width, height, size = int(header["ncols"]), int(header["nrows"]), header["cellsize"]
+    numbers = np.array(" ".join(lines).split(), float)
+    if numbers.size != width * height or not size > 0:
+        raise ValueError(f"got {numbers.size} numbers; the header asks for {height} x {width}")
+    values = np.where(numbers == header.get("nodata_value", -9999.0), np.nan, numbers).reshape(height, width)
+    west, south = (
+        header[f"{axis}llcenter"] if f"{axis}llcenter" in header else header[f"{axis}llcorner"] + size / 2
+        for axis in "xy"
+    )
+    x, y = west + size * np.arange(width), south + size * np.arange(height)
+    return regular(values, x, y[::-1], _crs_beside(file, x, y), file)
+
+
+def _crs_beside(file: str, x: "np.ndarray", y: "np.ndarray") -> str | None:
+    """The projection in the `.prj` file beside a raster; without one, degrees if all positions can be."""
+    beside = Path(file).with_suffix(".prj")
+    if beside.is_file():
+        return read_within(TEXT, beside, str(beside)).decode().strip()
+    return DEGREES if _are_degrees(x, y) else None
+
+
+def _are_degrees(x: "np.ndarray", y: "np.ndarray") -> bool:
+    """Whether positions without a unit are degrees: in their range, and closer than a hundredth."""
+    return bool(abs(x).max() <= 360 and abs(y).max() <= 90 and abs(x[1] - x[0]) < 0.01)
+
+
+def _read_archive(file: str) -> Raster:
+    import numpy as np
+
+    with np.load(file, allow_pickle=False) as archive:
+        arrays: dict[str, Any] = {name.lower(): archive[name] for name in archive.files}
+    tables = {name: array for name, array in arrays.items() if array.ndim == 2 and array.dtype.kind in "iuf"}
+    masks = [array for array in arrays.values() if array.ndim == 2 and array.dtype == bool]
+    if len(tables) != 1:
+        raise ValueError(f"holds {len(tables)} tables of numbers; allowed: one, with a mask if need be")
+    values = np.array(next(iter(tables.values())), float)
+    NUMBERS.check(values.size, file)
+    for mask in masks:
+        if mask.shape == values.shape:  # as in numpy.ma: true where there is no data
+            values = np.where(mask, np.nan, values)
+    x, x_name = _axis_of(arrays, X_NAMES, values.shape[1])
+    y, y_name = _axis_of(arrays, Y_NAMES, values.shape[0])
+    is_geographic = x_name.startswith("lon") and y_name.startswith("lat")
+    return regular(values, x, y, DEGREES if is_geographic or _are_degrees(x, y) else None, file)
+
+
+def _axis_of(arrays: dict[str, Any], names: tuple[str, ...], size: int) -> "tuple[np.ndarray, str]":
+    """Positions along an axis: an array of a known name, equal steps between two ends, or the indices."""
+    import numpy as np
+
+    for name in names:
+        if name in arrays and arrays[name].shape == (size,):
+            return np.asarray(arrays[name], float), name
+    low, high = (arrays.get(f"{names[0]}{end}") for end in ("min", "max"))
+    if low is not None and high is not None and low.size == high.size == 1:
+        return np.linspace(low.item(), high.item(), size), names[0]
+    return np.arange(size, dtype=float), ""
+
+
+def _pivoted(points: "np.ndarray", names: list[str], file: str) -> Raster:
+    """A raster from rows of x, y and value of its cells, in any order; absent cells are holes."""
+    import numpy as np
+
+    x, y = np.unique(points[:, 0]), np.unique(points[:, 1])
+    if len(x) * len(y) > 4 * len(points):
+        raise ValueError("the points are not on a regular grid; allowed for points: the field scattered")
+    values = np.full((len(y), len(x)), np.nan)
+    values[np.searchsorted(y, points[:, 1]), np.searchsorted(x, points[:, 0])] = points[:, 2]
+    is_geographic = bool(names) and names[0].startswith("lon")
+    return regular(values, x, y, DEGREES if is_geographic else None, file)
+
+
+def _read_with_rasterio(path: str, variable: str, most: int) -> Raster:
+    try:
+        import rasterio
+    except ImportError as error:
+        raise MissingExtra("rasterio", "geo") from error
+    import warnings
+
+    if not os.path.exists(path):
+        raise ValueError(f"{path}: No such file or directory")
+    name = f'netcdf:"{path}":{variable}' if variable else path
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a file without a place on the Earth
+        with rasterio.open(name) as data:
+            if data.count == 0 and data.subdatasets:
+                names = ", ".join(each.rpartition(":")[2] for each in data.subdatasets)
+                raise ValueError(f"{path}: holds several variables; allowed: {path}:NAME with one of {names}")
+            return _from_rasterio(data, path, most)
+
+
+def _from_rasterio(data: Any, path: str, most: int) -> Raster:
+    import numpy as np
+    from rasterio.enums import Resampling
+
+    if data.count != 1:
+        raise ValueError(f"{path}: has {data.count} bands; allowed: one (gdal_translate -b 1 writes a band)")
+    transform = data.transform
+    if transform.b or transform.d:
+        raise ValueError(f"{path}: is rotated; allowed: rows along x (gdalwarp writes such a file)")
+    step = thinning(data.shape, most)
+    shape = tuple(max(2, size // step) for size in data.shape)
+    masked = data.read(1, masked=True, out_shape=shape, resampling=Resampling.nearest)
+    values = np.ma.filled(masked.astype(float) * data.scales[0] + data.offsets[0], np.nan)
+    x = transform.c + transform.a * (np.arange(shape[1]) + 0.5) * data.width / shape[1]
+    y = transform.f + transform.e * (np.arange(shape[0]) + 0.5) * data.height / shape[0]
+    crs = data.crs.to_string() if data.crs else None
+    if data.crs and data.crs.is_geographic:
+        crs = DEGREES
+    elif crs is None and _has_degrees(data, x, y):
+        crs = DEGREES
+    raster = regular(values, x, y, crs, path)
+    return Raster(raster.values, raster.x, raster.y, raster.crs, step)
+
+
+def _has_degrees(data: Any, x: "np.ndarray", y: "np.ndarray") -> bool:
+    """Whether a file without a projection says in its tags, or by its positions, that they are degrees."""
+    units = [str(value) for key, value in data.tags().items() if key.lower().endswith("#units")]
+    return any(unit.startswith("degree") for unit in units) or _are_degrees(x, y)

@@ -1,0 +1,209 @@
+"""Readers of rasters and points: orientation, holes, projections, and files that are refused."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.fields.data import read_array, read_points
+from bojax.fields.measured import GridField
+from bojax.fields.projection import Projection
+from bojax.fields.raster import DEGREES
+from bojax.fields.raster_files import local_extent, read_local_points, read_raster
+from bojax.fields.settings import Grid, Scattered
+
+VALUES = np.array([[1.0, 2.0, 3.0], [4.0, np.nan, 6.0]])
+"""From south to north, with a hole."""
+
+ASCII = """ncols 3
+nrows 2
+xllcorner 100
+yllcorner 200
+cellsize 10
+NODATA_value -1
+4 -1 6
+1 2 3
+"""
+
+
+def write_tif(path, values=VALUES, crs="EPSG:32633", nodata=-1.0, **more):
+    rasterio = pytest.importorskip("rasterio")
+    transform = rasterio.transform.from_origin(500_000.0, 5_000_020.0, 10.0, 10.0)
+    settings = {"height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32"}
+    settings |= {"crs": crs, "nodata": nodata, "transform": transform} | more
+    with rasterio.open(path, "w", driver="GTiff", **settings) as file:
+        for band in range(settings["count"]):
+            file.write(np.nan_to_num(values[::-1], nan=-1.0).astype("float32"), band + 1)
+    return str(path)
+
+
+def written(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    return str(tmp_path / name)
+
+
+def test_an_ascii_raster_begins_in_the_north(tmp_path):
+    raster = read_raster(written(tmp_path, "grid.asc", ASCII))
+    np.testing.assert_array_equal(raster.values, VALUES)
+    np.testing.assert_array_equal(raster.x, [105.0, 115.0, 125.0])
+    np.testing.assert_array_equal(raster.y, [205.0, 215.0])
+    assert raster.crs is None
+
+
+def test_a_geotiff_has_the_values_of_its_cells(tmp_path):
+    raster = read_raster(write_tif(tmp_path / "a.tif"))
+    np.testing.assert_array_equal(raster.values, VALUES)
+    np.testing.assert_allclose(raster.x, [500_005.0, 500_015.0, 500_025.0])
+    np.testing.assert_allclose(raster.y, [5_000_005.0, 5_000_015.0])
+    assert raster.crs == "EPSG:32633"
+
+
+def test_a_netcdf_file_in_degrees(tmp_path):
+    pytest.importorskip("rasterio")
+    from scipy.io import netcdf_file
+
+    path = str(tmp_path / "a.nc")
+    with netcdf_file(path, "w") as file:
+        for name, positions in (("lat", [54.0, 54.5]), ("lon", [10.0, 10.5, 11.0])):
+            file.createDimension(name, len(positions))
+            variable = file.createVariable(name, "d", (name,))
+            variable[:] = positions
+            variable.units = "degrees_north" if name == "lat" else "degrees_east"
+        depth = file.createVariable("depth", "h", ("lat", "lon"))
+        depth._FillValue, depth.scale_factor = np.int16(-1), 0.5
+        depth[:] = np.nan_to_num(VALUES * 2, nan=-1)
+    raster = read_raster(path)
+    np.testing.assert_allclose(raster.values, VALUES)
+    np.testing.assert_allclose(raster.y, [54.0, 54.5])
+    assert raster.crs == DEGREES
+
+
+@pytest.mark.parametrize("name", ["masked", "axes"])
+def test_an_archive_with_a_mask_or_positions(tmp_path, name):
+    filled = np.nan_to_num(VALUES, nan=7.0)
+    if name == "masked":
+        np.savez(tmp_path / "a.npz", data=filled, mask=np.isnan(VALUES))
+    else:
+        np.savez(tmp_path / "a.npz", z=VALUES[::-1], longitude=[7.0, 7.1, 7.2], latitude=[51.2, 51.0])
+    raster = read_raster(str(tmp_path / "a.npz"))
+    np.testing.assert_array_equal(raster.values, VALUES)
+    assert raster.crs == (None if name == "masked" else DEGREES)
+
+
+def test_xyz_cells_in_any_order(tmp_path):
+    x, y = np.meshgrid([0.0, 2.0, 4.0], [1.0, 3.0])
+    rows = np.column_stack([x.ravel(), y.ravel(), VALUES.ravel()])[::-1]
+    path = written(tmp_path, "a.xyz", "\n".join(" ".join(map(str, row)) for row in rows))
+    np.testing.assert_array_equal(read_raster(path).values, VALUES)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y,depth\n1,2,3.5\n4,5,-9999\n",
+        "X;Y;Depth\n1;2;3,5\n4;5;NA\n",
+        "station\ty\tx\tdepth\n7\t2\t1\t3.5\n8\t5\t4\t\n",
+        "1 2 3.5\n4 5 nan\n",
+    ],
+)
+def test_points_with_any_delimiter_and_named_columns(tmp_path, text):
+    rows, _ = read_points(written(tmp_path, "a.csv", text))
+    np.testing.assert_array_equal(rows, [[1.0, 2.0, 3.5]])
+
+
+def test_degrees_become_metres(tmp_path):
+    path = written(tmp_path, "a.csv", "lon,lat,z\n10,54,1\n10.01,54,2\n10,54.01,3\n")
+    pyproj = pytest.importorskip("pyproj")
+    earth = pyproj.Geod(ellps="WGS84")
+    east, north = earth.inv(10, 54, 10.01, 54)[2], earth.inv(10, 54, 10, 54.01)[2]
+    rows = read_local_points(path)
+    np.testing.assert_allclose(rows[:, :2], [[0, 0], [east, 0], [0, north]], rtol=2e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("crs", [DEGREES, "EPSG:32633", "EPSG:3857", "EPSG:2263"])
+def test_a_frame_has_true_lengths_and_goes_back(crs):
+    pyproj = pytest.importorskip("pyproj")
+    to_crs = pyproj.Transformer.from_crs(DEGREES, crs, always_xy=True)
+    middle = (-74.0, 40.7) if crs == "EPSG:2263" else (15.2, 54.0)
+    degrees = np.array([middle, (middle[0] + 0.004, middle[1]), (middle[0], middle[1] + 0.004)])
+    coordinates = np.stack(to_crs.transform(*degrees.T), axis=1)
+    low, high = coordinates.min(0), coordinates.max(0)
+    frame = Projection.of(crs, (*low, *high))
+    local = frame.to_local(coordinates)
+    np.testing.assert_allclose(frame.to_degrees(local), degrees, atol=1e-7)
+    earth = pyproj.Geod(ellps="WGS84")
+    for end in (1, 2):
+        length = earth.inv(*degrees[0], *degrees[end])[2]
+        assert np.linalg.norm(local[end] - local[0]) == pytest.approx(length, rel=1e-3)
+
+
+def test_a_large_raster_is_thinned(tmp_path):
+    values = np.arange(10_000.0).reshape(100, 100)
+    np.save(tmp_path / "a.npy", values)
+    path = write_tif(tmp_path / "a.tif", values)
+    for file in (str(tmp_path / "a.npy"), path):
+        raster = read_raster(file, most=500)
+        assert raster.values.size <= 500 and raster.step == 5
+    assert read_raster(path).step == 1
+
+
+def test_a_field_of_a_file_with_holes(tmp_path):
+    path = write_tif(tmp_path / "a.tif")
+    with pytest.raises(ValueError, match="1 of 6 cells have no data"):
+        Grid(file=path)
+    settings = Grid(file=path, holes="nearest")
+    assert settings.extent == pytest.approx((0.0, 0.0, 20.0, 10.0), rel=1e-3)
+    field = GridField(path, jnp.asarray(settings.extent), holes="nearest")
+    in_hole = float(field(jnp.asarray([10.0, 10.0])))
+    assert min(abs(in_hole - near) for near in (2.0, 4.0, 6.0)) < 0.01
+    assert float(field(jnp.asarray([0.0, 0.0]))) == 1.0
+
+
+def test_the_extent_of_points_is_that_of_the_file(tmp_path):
+    assert Scattered(file=written(tmp_path, "a.csv", "x,y,z\n1,2,3\n4,6,3\n")).extent == (1.0, 2.0, 4.0, 6.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.asc", "ncols 3\nnrows 2\n1 2 3\n4 5 6\n", "a.asc: the header lacks cellsize"),
+        ("a.asc", ASCII[:-3], "a.asc: got 5 numbers; the header asks for 2 x 3"),
+        ("a.asc", ASCII.replace("4 -1 6\n1 2 3", "-1 -1 -1\n-1 -1 -1"), "a.asc: no cell has data"),
+        ("a.csv", "1,2\n-9999,1e20\n1,1e16", "a.csv: got 1e\\+16; allowed: numbers up to"),
+        ("a.xyz", "1 2 3\n4 5 6\n7 8 9\n10 11 12\n13 14 15\n", "a.xyz: the points are not on a regular grid"),
+        ("a.xyz", "1 2 3 4\n", "a.xyz: got 4 columns; allowed: 3"),
+        ("a.gif", "", "a.gif: the name has to end in"),
+        ("a.tif", "no picture", "a.tif: "),
+        ("a.nc", "", "a.nc: "),
+    ],
+)
+def test_files_that_are_refused_in_one_line(tmp_path, name, text, message):
+    pytest.importorskip("rasterio")
+    with pytest.raises(ValueError, match=message) as error:
+        read_raster(written(tmp_path, name, text))
+    assert "\n" not in str(error.value)
+
+
+def test_rasters_that_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="has 3 bands; allowed: one"):
+        read_raster(write_tif(tmp_path / "a.tif", count=3))
+    with pytest.raises(ValueError, match=r"no\.tif: No such file"):
+        read_raster(str(tmp_path / "no.tif"))
+    np.savez(tmp_path / "two.npz", a=np.ones((2, 2)), b=np.ones((2, 2)))
+    with pytest.raises(ValueError, match="holds 2 tables"):
+        read_raster(str(tmp_path / "two.npz"))
+    with pytest.raises(ValueError, match="longitude, then latitude"):
+        Projection.of(DEGREES, (400_000.0, 0.0, 400_100.0, 100.0))
+
+
+def test_missing_data_are_not_data(tmp_path):
+    path = written(tmp_path, "a.csv", "1,2\n-9999,4\n")
+    assert np.isnan(read_array(path, allows_holes=True)).sum() == 1
+    with pytest.raises(ValueError, match="1 of 4 cells have no data"):
+        Grid(file=path)
+
+
+def test_the_extent_of_a_raster_in_degrees_is_in_metres(tmp_path):
+    np.savez(tmp_path / "a.npz", z=np.ones((2, 2)), lon=[10.0, 11.0], lat=[0.0, 1.0])
+    x_min, y_min, x_max, y_max = local_extent(read_raster(str(tmp_path / "a.npz")))
+    assert (x_min, y_min) == (0.0, 0.0)
+    np.testing.assert_allclose([x_max, y_max], [111_320, 110_574], rtol=1e-3)
