@@ -1,0 +1,277 @@
+"""Lawnmowers: parallel lines over an area, cell by cell of its boustrophedon decomposition.
+
+Choset and Pignon (1997): as a line sweeps over the area, the pieces that it is cut into by holes split and
+merge. Between two such events a piece sweeps a cell, which is driven to and fro; the cells are visited one
+after the other, by shortest paths around holes.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from bojax.surveys.area import Area
+from bojax.surveys.shapes import polygons_of, rings_of, shapely_module, to_shape
+from bojax.surveys.transfers import Transfers
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+DIRECTIONS = 8
+"""Number of directions of the lines that are tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A connected area, prepared for many routes.
+
+    Attributes:
+        shape: Its polygon.
+        transfers: Shortest paths in it.
+    """
+
+    shape: "BaseGeometry"
+    transfers: Transfers
+
+    @classmethod
+    def of(cls, area: Area, near: np.ndarray | None = None) -> "Ground":
+        """The part of an area that contains the point `near`, by default the largest part.
+
+        Raises:
+            ValueError: The area is empty, or does not contain the point.
+        """
+        shapely = shapely_module()
+        parts = polygons_of(to_shape(area))
+        if not parts:
+            raise ValueError("the area is empty")
+        if near is not None:
+            parts = [part for part in parts if shapely.dwithin(part, shapely.Point(near), 1e-6)]
+            if not parts:
+                raise ValueError(f"({near[0]:.6g}, {near[1]:.6g}) is not in the area")
+        return cls(parts[0], Transfers(parts[0]))
+
+    @property
+    def size(self) -> float:
+        """The area, m^2."""
+        return float(self.shape.area)
+
+
+def route_length(waypoints: np.ndarray) -> float:
+    """Length of a polyline `[W, 2]`, m."""
+    return float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
+
+
+def lawnmower(
+    area: Area | Ground,
+    spacing: float,
+    angle: float = 0.0,
+    start: np.ndarray | None = None,
+    end: np.ndarray | None = None,
+) -> np.ndarray:
+    """A route along parallel lines that covers an area.
+
+    Args:
+        area: The area; of several parts, the one with the start or else the largest is covered.
+        spacing: Largest distance between two lines, m.
+        angle: Direction of the lines, counter-clockwise from x, rad.
+        start: First point of the route; free if None.
+        end: Last point of the route; free if None.
+
+    Returns:
+        Waypoints `[W, 2]`, m. Lines end at the border.
+
+    Raises:
+        ValueError: The spacing is not positive, or an end is not in the area.
+    """
+    if not spacing > 0 or not math.isfinite(spacing):
+        raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
+    ground = area if isinstance(area, Ground) else Ground.of(area, start if start is not None else end)
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    rings = [ring[:-1] @ turn.T for ring in rings_of(ground.shape)]
+    cells = [[line @ turn for line in cell] for cell in _cells(rings, spacing)]
+    legs = _in_order([_ways(cell) for cell in cells], start, end)
+    stops = [np.asarray(start, float)[None]] if start is not None else []
+    stops += legs
+    stops += [np.asarray(end, float)[None]] if end is not None else []
+    return _joined(stops, ground.transfers)
+
+
+def lawnmowers_within(
+    ground: Ground,
+    budget: float,
+    angle: float = 0.0,
+    start: np.ndarray | None = None,
+    end: np.ndarray | None = None,
+    spacing: float = 0.0,
+) -> list[np.ndarray]:
+    """Lawnmowers of one direction that are at most as long as the budget.
+
+    Args:
+        ground: The area.
+        budget: Maximum length, m.
+        angle: Direction of the lines, counter-clockwise from x, rad.
+        start: First point of the route; free if None.
+        end: Last point of the route; free if None.
+        spacing: Least distance between two lines, m.
+
+    Returns:
+        The one with the closest lines of those that cover the whole area, if the budget is enough for one;
+        and the next closer one, cut where the way to the end uses up the rest of the budget.
+
+    Raises:
+        ValueError: The budget does not reach from the start to the end.
+    """
+    check_budget(ground, budget, start, end)
+    # Lines of this distance are as long as the budget, but for the way between them.
+    typical = ground.size / budget
+    powers = [typical * 1.06**power for power in range(-8, 28)]
+    denser = None
+    for distance in [spacing, *powers] if spacing > powers[0] else powers:
+        if distance < spacing:
+            continue
+        route = lawnmower(ground, distance, angle, start, end)
+        if route_length(route) <= budget:
+            return [route] if denser is None else [route, _cut(denser, budget, end, ground.transfers)]
+        denser = route
+    assert denser is not None
+    return [_cut(denser, budget, end, ground.transfers)]
+
+
+def check_budget(
+    ground: Ground, budget: float, start: np.ndarray | None = None, end: np.ndarray | None = None
+) -> None:
+    """Refuse a budget that is not positive, or does not reach from the start to the end.
+
+    Raises:
+        ValueError: The budget is too small.
+    """
+    if not budget > 0 or not math.isfinite(budget):
+        raise ValueError(f"budget: got {budget:g} m; allowed: > 0 m")
+    if start is not None and end is not None:
+        shortest = route_length(ground.transfers.path(np.asarray(start, float), np.asarray(end, float)))
+        if shortest > budget:
+            between = f"the shortest way from the start to the end is {shortest:.6g} m long"
+            raise ValueError(f"budget: got {budget:.6g} m, but {between}")
+
+
+def _cells(rings: list[np.ndarray], spacing: float) -> list[list[np.ndarray]]:
+    """Cells of parallel lines to x, each a list of pieces `[2, 2]` from the lowest y."""
+    corners = np.concatenate(rings)
+    low, high = corners[:, 1].min(), corners[:, 1].max()
+    number = max(1, math.ceil((high - low) / spacing - 1e-9))
+    heights = low + (np.arange(number) + 0.5) * (high - low) / number
+    done: list[list[np.ndarray]] = []
+    growing: list[tuple[np.ndarray, list[np.ndarray]]] = []  # the last piece and the cell of each
+    for y in heights:
+        pieces = _pieces(rings, y)
+        touches = np.array(
+            [[last[0] < piece[1] and piece[0] < last[1] for piece in pieces] for last, _ in growing], bool
+        ).reshape(len(growing), len(pieces))
+        now = []
+        for index, piece in enumerate(pieces):
+            line = np.array([[piece[0], y], [piece[1], y]])
+            before = np.flatnonzero(touches[:, index])
+            goes_on = len(before) == 1 and touches[before[0]].sum() == 1
+            cell = growing[before[0]][1] if goes_on else []
+            if not goes_on:
+                done.append(cell)
+            cell.append(line)
+            now.append((piece, cell))
+        growing = now
+    return done
+
+
+def _pieces(rings: list[np.ndarray], y: float) -> list[np.ndarray]:
+    """Pieces `[x_min, x_max]` in which the line at a height cuts the area."""
+    crossings = []
+    for ring in rings:
+        first, last = ring, np.roll(ring, -1, axis=0)
+        spans = (first[:, 1] > y) != (last[:, 1] > y)
+        share = (y - first[spans, 1]) / (last[spans, 1] - first[spans, 1])
+        crossings.append(first[spans, 0] + share * (last[spans, 0] - first[spans, 0]))
+    return list(np.sort(np.concatenate(crossings)).reshape(-1, 2))
+
+
+def _ways(cell: list[np.ndarray]) -> list[np.ndarray]:
+    """The four ways to drive a cell to and fro: from the first or the last line, from either side."""
+    ways = []
+    for lines in (cell, cell[::-1]):
+        for side in (0, 1):
+            ways.append(
+                np.concatenate([line[:: 1 if (i + side) % 2 == 0 else -1] for i, line in enumerate(lines)])
+            )
+    return ways
+
+
+def _in_order(
+    cells: list[list[np.ndarray]], start: np.ndarray | None, end: np.ndarray | None
+) -> list[np.ndarray]:
+    """One way for each cell, in an order with short transfers: the nearest next, from each first way.
+
+    Distances between cells are straight lines here; the transfers that are driven go around holes.
+    """
+    ways = [way for cell in cells for way in cell]
+    firsts, lasts = np.array([way[0] for way in ways]), np.array([way[-1] for way in ways])
+    cell_of = np.repeat(np.arange(len(cells)), 4)
+    between = cdist(lasts, firsts)
+    from_start = np.zeros(len(ways)) if start is None else cdist([start], firsts)[0]
+    to_end = np.zeros(len(ways)) if end is None else cdist(lasts, [end])[:, 0]
+    best, least = [], math.inf
+    seeds = np.arange(len(ways)) if len(ways) <= 200 else np.argsort(from_start)[:50]
+    for seed in seeds:
+        order, cost = [int(seed)], float(from_start[seed])
+        is_left = cell_of != cell_of[seed]
+        while is_left.any():
+            steps = np.where(is_left, between[order[-1]], np.inf)
+            if is_left.sum() == 4:  # the last cell: how it ends matters
+                steps = steps + to_end
+            following = int(np.argmin(steps))
+            cost += between[order[-1], following]
+            order.append(following)
+            is_left &= cell_of != cell_of[following]
+        cost += to_end[order[-1]]
+        if cost < least:
+            best, least = order, cost
+    return [ways[index] for index in best]
+
+
+def _joined(legs: list[np.ndarray], transfers: Transfers) -> np.ndarray:
+    """One route over all legs, with transfers within and between them that stay in the area."""
+    points = np.concatenate(legs)
+    is_clear = transfers.are_clear(points[:-1], points[1:])
+    route = [points[:1]]
+    for index in range(len(points) - 1):
+        if is_clear[index]:
+            route.append(points[index + 1 : index + 2])
+        else:
+            route.append(transfers.path(points[index], points[index + 1])[1:])
+    return np.concatenate(route)
+
+
+def _cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Transfers) -> np.ndarray:
+    """The beginning of a route and the way to its end, together at most as long as the budget."""
+    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
+    driven = np.concatenate([[0.0], np.cumsum(lengths)])
+
+    def upto(distance: float) -> np.ndarray:
+        index = int(np.searchsorted(driven, distance, side="right")) - 1
+        if index >= len(lengths):
+            return route
+        share = (distance - driven[index]) / lengths[index]
+        last = (1.0 - share) * route[index] + share * route[index + 1]
+        begun = np.concatenate([route[: index + 1], last[None]])
+        return (
+            begun
+            if end is None
+            else np.concatenate([begun, transfers.path(last, np.asarray(end, float))[1:]])
+        )
+
+    if end is None:
+        return upto(budget)
+    low, high = 0.0, min(budget, driven[-1])  # a way back is feasible from the start
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if route_length(upto(middle)) <= budget else (low, middle)
+    return upto(low)

@@ -1,0 +1,67 @@
+"""Areas as geometries of shapely, and back."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bojax.config.extras import MissingExtra
+from bojax.surveys.area import Area, Ring
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+
+def shapely_module():
+    """The package shapely.
+
+    Raises:
+        MissingExtra: It is not installed.
+    """
+    try:
+        import shapely
+    except ImportError as error:
+        raise MissingExtra("shapely", "geo") from error
+    return shapely
+
+
+def to_shape(area: Area) -> "BaseGeometry":
+    """The area as one geometry: its outline without its no-go zones."""
+    shapely = shapely_module()
+    shape = _even_odd(area.outline)
+    zones = [_even_odd(zone) for zone in area.avoid]
+    return shapely.difference(shape, shapely.union_all(zones)) if zones else shape
+
+
+def to_area(shape: "BaseGeometry") -> Area:
+    """A geometry of polygons as an area; points and lines in it are left out.
+
+    Raises:
+        ValueError: It has no area.
+    """
+    rings = rings_of(shape)
+    if not rings:
+        raise ValueError("the area is empty")
+    return Area(tuple(rings))
+
+
+def rings_of(shape: "BaseGeometry") -> list[Ring]:
+    """The borders of the polygons of a geometry, and of their holes."""
+    shapely = shapely_module()
+    rings = []
+    for polygon in polygons_of(shape):
+        rings += [np.array(shapely.get_coordinates(ring)) for ring in (polygon.exterior, *polygon.interiors)]
+    return rings
+
+
+def polygons_of(shape: "BaseGeometry") -> list:
+    """The polygons of a geometry, the largest first."""
+    shapely = shapely_module()
+    parts = shapely.get_parts(shapely.get_parts(shape))
+    found = [part for part in parts if part.geom_type == "Polygon" and part.area > 0.0]
+    return sorted(found, key=lambda polygon: -polygon.area)
+
+
+def _even_odd(rings: Sequence[Ring]) -> "BaseGeometry":
+    shapely = shapely_module()
+    return shapely.symmetric_difference_all([shapely.make_valid(shapely.Polygon(ring)) for ring in rings])

@@ -1,0 +1,123 @@
+"""Lawnmowers: they stay inside, cover the area, have the length that lines of their distance need."""
+
+import math
+
+import numpy as np
+import pytest
+
+shapely = pytest.importorskip("shapely")
+
+from bojax.surveys.area import Area  # noqa: E402
+from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within, route_length  # noqa: E402
+from bojax.surveys.shapes import to_shape  # noqa: E402
+
+HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
+SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)
+TURN = np.linspace(0.0, 2.0 * math.pi, 60, endpoint=False)
+BAY = (5.0 + 0.8 * np.sin(3.0 * TURN))[:, None] * np.stack([np.cos(TURN), np.sin(TURN)], axis=1)
+U_SHAPE = np.array(
+    [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [7.0, 8.0], [7.0, 3.0], [3.0, 3.0], [3.0, 8.0], [0.0, 8.0]]
+)
+AREAS = {
+    "square": SQUARE,
+    "hole": Area((*SQUARE.outline, HOLE)),
+    "zones": SQUARE.without([[HOLE], [HOLE + 1.5]]),
+    "bay": Area((BAY, 0.2 * BAY + np.array([1.0, -1.0]))),
+    "u-shape": Area((U_SHAPE,)),
+}
+ANGLES = (0.0, 0.5, 1.2, math.pi / 2)
+
+
+def is_inside(area: Area, route: np.ndarray) -> bool:
+    return bool(shapely.covers(to_shape(area).buffer(1e-6), shapely.LineString(route)))
+
+
+def apart(area: Area, route: np.ndarray) -> np.ndarray:
+    """Distance of the points of a grid from the route."""
+    return shapely.distance(shapely.LineString(route), shapely.points(area.grid(0.1)))
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("name", AREAS)
+def test_a_lawnmower_stays_inside_and_covers_the_area(name: str, angle: float) -> None:
+    area, spacing = AREAS[name], 0.8
+    route = lawnmower(area, spacing, angle)
+    assert is_inside(area, route)
+    distance = apart(area, route)
+    assert np.mean(distance <= spacing / 2 + 1e-6) > 0.985  # corners between two lines are cut
+    assert distance.max() < spacing
+    # Beside the lines there are the ways between them: along the border, and around holes.
+    lines = to_shape(area).area / spacing
+    assert 0.95 * lines < route_length(route) < 1.1 * lines + to_shape(area).length
+
+
+def test_lines_of_a_square_are_as_many_as_needed() -> None:
+    route = lawnmower(SQUARE, 2.0)
+    assert route_length(route) == pytest.approx(5 * 10.0 + 4 * 2.0)
+    assert len(route) == 10
+
+
+@pytest.mark.parametrize("name", ["hole", "u-shape"])
+def test_a_route_begins_and_ends_where_it_must(name: str) -> None:
+    start, end = np.array([1.0, 7.0]), np.array([9.0, 7.5])
+    route = lawnmower(AREAS[name], 1.0, 0.3, start, end)
+    np.testing.assert_array_equal(route[[0, -1]], [start, end])
+    assert is_inside(AREAS[name], route)
+
+
+@pytest.mark.parametrize("budget", [15.0, 40.0, 90.0])
+@pytest.mark.parametrize("has_end", [False, True])
+@pytest.mark.parametrize("name", ["zones", "u-shape"])
+def test_the_budget_is_kept(name: str, has_end: bool, budget: float) -> None:
+    ground = Ground.of(AREAS[name])
+    start, end = np.array([1.0, 1.0]), np.array([9.0, 7.5]) if has_end else None
+    for angle in ANGLES:
+        for route in lawnmowers_within(ground, budget, angle, start, end):
+            assert route_length(route) <= budget + 1e-9
+            assert is_inside(AREAS[name], route)
+            np.testing.assert_array_equal(route[0], start)
+            if end is not None:
+                np.testing.assert_allclose(route[-1], end)
+
+
+def test_a_budget_is_used_up_and_more_of_it_covers_more() -> None:
+    ground = Ground.of(AREAS["hole"])
+    reached = [
+        min(apart(AREAS["hole"], route).mean() for route in lawnmowers_within(ground, budget))
+        for budget in (20, 40, 80)
+    ]
+    assert reached[0] > reached[1] > reached[2]
+    assert max(map(route_length, lawnmowers_within(ground, 40.0))) > 39.0
+
+
+def test_the_way_around_a_hole_is_the_shortest() -> None:
+    path = Ground.of(AREAS["hole"]).transfers.path(np.array([3.0, 5.0]), np.array([7.0, 5.0]))
+    assert route_length(path) == pytest.approx(2.0 + 2.0 * math.sqrt(2.0))
+
+
+def test_of_several_parts_the_one_with_the_start_is_covered() -> None:
+    parts = Area((*SQUARE.outline, *Area.rectangle(20.0, 0.0, 25.0, 5.0).outline))
+    assert Ground.of(parts).size == pytest.approx(100.0)
+    assert Ground.of(parts, np.array([21.0, 1.0])).size == pytest.approx(25.0)
+    with pytest.raises(ValueError, match="no path in the area joins"):
+        Ground.of(parts).transfers.path(np.array([1.0, 1.0]), np.array([21.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: lawnmower(SQUARE, 0.0), "spacing: got 0; allowed: > 0 m"),
+        (lambda: lawnmower(AREAS["hole"], 1.0, start=np.array([5.0, 5.0])), r"\(5, 5\) is not in the area"),
+        (lambda: lawnmowers_within(Ground.of(SQUARE), -1.0), "budget: got -1 m; allowed: > 0 m"),
+        (
+            lambda: lawnmowers_within(
+                Ground.of(SQUARE), 5.0, 0.0, np.array([1.0, 1.0]), np.array([9.0, 1.0])
+            ),
+            "budget: got 5 m, but the shortest way from the start to the end is 8 m long",
+        ),
+        (lambda: Ground.of(SQUARE.without([SQUARE.outline])), "the area is empty"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused(make, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
