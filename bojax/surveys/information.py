@@ -1,0 +1,171 @@
+"""What a route teaches about a field: the posterior deviation over an area after the samples of a polyline.
+
+The posterior variance of a Gaussian process does not depend on the measured values, so the error that a
+route leaves is known before it is driven. With samples Z of the route and data X already observed, the
+variance at a point g falls by |B^-1 c(Z, g)|^2, where c is the posterior covariance given X and
+B B' = c(Z, Z) + noise.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Scalar
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.numerics.linalg import inverse_cholesky, matmul
+
+LEAST_VARIANCE = 1e-12
+"""Share of the variance below which a posterior variance has no gradient, as its root has an infinite one."""
+
+
+def path_length(waypoints: Float[Array, "W 2"]) -> Scalar:
+    """Length of a polyline, m; its gradient is 0 at pieces without length."""
+    return jnp.sum(_piece_lengths(waypoints))
+
+
+def points_at(waypoints: Float[Array, "W 2"], distances: Float[Array, "S"]) -> Float[Array, "S 2"]:
+    """Points of a polyline at these distances from its first waypoint, m; its last one beyond its end.
+
+    Differentiable in the waypoints: a sample stays at its distance while the pieces before it change.
+    """
+    lengths = _piece_lengths(waypoints)
+    ends = jnp.cumsum(lengths)
+    last = lengths.shape[0] - 1
+    piece = jnp.minimum(jnp.searchsorted(ends, distances), last)
+    behind = jnp.where(piece > 0, ends[piece - 1], 0.0)
+    length = lengths[piece]
+    share = (distances - behind) / jnp.where(length > 0.0, length, 1.0)
+    share = jnp.clip(share, 0.0, 1.0)[:, None]
+    return (1.0 - share) * waypoints[piece] + share * waypoints[piece + 1]
+
+
+def samples_along(
+    waypoints: Float[Array, "W 2"], spacing: Float[Array, ""] | float, number: int
+) -> tuple[Float[Array, "S 2"], Bool[Array, "S"]]:
+    """Samples at every `spacing` metres of a polyline, and whether each lies on it.
+
+    The first is `spacing` behind the start. With `number` = budget / spacing, rounded down, no sample lies
+    beyond the budget, whatever the length of the polyline.
+    """
+    distances = spacing * jnp.arange(1, number + 1, dtype=waypoints.dtype)
+    # A polyline that uses its budget ends at its last sample but for rounding.
+    is_taken = distances <= path_length(waypoints) + 1e-9 * distances[-1]
+    return points_at(waypoints, distances), is_taken
+
+
+class PointErrors(eqx.Module):
+    """The belief about a set of points, prepared for many routes.
+
+    Attributes:
+        posterior: The belief given the data.
+        grid: Points at which the error counts, m.
+        weights: Their weights, which sum to 1.
+        whitened: L^-1 k(X, grid).
+        variance: Posterior variances at the grid.
+    """
+
+    posterior: GaussianProcess
+    grid: Float[Array, "M 2"]
+    weights: Float[Array, "M"]
+    whitened: Float[Array, "N M"]
+    variance: Float[Array, "M"]
+
+    @classmethod
+    def of(
+        cls,
+        posterior: GaussianProcess,
+        grid: Float[Array, "M 2"],
+        weights: Float[Array, "M"] | None = None,
+    ) -> "PointErrors":
+        """The belief at `grid`, where all points count alike unless weights are given."""
+        weights = jnp.ones(grid.shape[0], grid.dtype) if weights is None else weights
+        whitened = posterior.whiten(grid)
+        variance = posterior.moments(grid, whitened)[1]
+        return cls(posterior, grid, weights / jnp.sum(weights), whitened, variance)
+
+    def explained(
+        self, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: float = 1.0
+    ) -> Float[Array, "S M"]:
+        """Reduction of the variance at each grid point by each sample, given those before it.
+
+        A sample that is not taken explains nothing.
+
+        Args:
+            samples: Their positions, in the order in which they are taken.
+            is_taken: Whether each is taken.
+            samples_per_point: Number of measurements that one sample stands for: its noise variance is
+                divided by it.
+        """
+        posterior, kernel = self.posterior, self.posterior.kernel
+        whitened = posterior.whiten(samples)
+        both = is_taken[:, None] & is_taken[None, :]
+        covariance = kernel.gram(samples, samples) - matmul(whitened.T, whitened)
+        noise = jnp.where(is_taken, posterior.noise(samples) / samples_per_point, 1.0)
+        # A sample that is not taken becomes independent of the others, with a covariance of 0 with the grid.
+        joint = jnp.where(both, covariance, 0.0) + jnp.diag(noise)
+        with_grid = kernel.gram(samples, self.grid) - matmul(whitened.T, self.whitened)
+        with_grid = jnp.where(is_taken[:, None], with_grid, 0.0)
+        return matmul(inverse_cholesky(joint), with_grid) ** 2
+
+    def mean_deviation(self, variance: Float[Array, "*T M"]) -> Float[Array, "*T"]:
+        """Weighted mean of the standard deviations."""
+        least = LEAST_VARIANCE * jnp.max(self.variance)
+        return matmul(jnp.sqrt(jnp.maximum(variance, least)), self.weights)
+
+    def after(
+        self, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: float = 1.0
+    ) -> Scalar:
+        """Mean posterior deviation after all samples; differentiable in their positions."""
+        explained = self.explained(samples, is_taken, samples_per_point)
+        return self.mean_deviation(self.variance - jnp.sum(explained, axis=0))
+
+
+def expected_error(
+    posterior: GaussianProcess,
+    waypoints: Float[Array, "W 2"],
+    grid: Float[Array, "M 2"],
+    spacing: float,
+    weights: Float[Array, "M"] | None = None,
+) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
+    """Mean posterior standard deviation over a grid against the distance driven along a route.
+
+    Args:
+        posterior: The belief before the route.
+        waypoints: The route, m.
+        grid: Points at which the error counts, m.
+        spacing: Distance between two samples, m.
+        weights: Weights of the grid points; all alike by default.
+
+    Returns:
+        Distances from the start, 0 first, and the mean deviation after the samples up to each.
+
+    Raises:
+        ValueError: The spacing is not positive, the route has fewer than two waypoints, or the grid is empty.
+    """
+    dtype = posterior.y.dtype
+    waypoints, grid = jnp.asarray(waypoints, dtype), jnp.asarray(grid, dtype)
+    if not spacing > 0.0:
+        raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
+    if waypoints.ndim != 2 or waypoints.shape[0] < 2:
+        raise ValueError(f"waypoints: got shape {waypoints.shape}; allowed: at least 2 rows of x and y")
+    if grid.shape[0] == 0:
+        raise ValueError("grid: got no points; allowed: at least one")
+    number = int(path_length(waypoints) / spacing * (1.0 + 1e-9))
+    deviations = _deviations(PointErrors.of(posterior, grid, weights), waypoints, spacing, number)
+    return spacing * jnp.arange(number + 1, dtype=dtype), deviations
+
+
+@eqx.filter_jit
+def _deviations(
+    errors: PointErrors, waypoints: Float[Array, "W 2"], spacing: float, number: int
+) -> Float[Array, "T"]:
+    if number == 0:
+        return errors.mean_deviation(errors.variance)[None]
+    explained = jnp.cumsum(errors.explained(*samples_along(waypoints, spacing, number)), axis=0)
+    before = jnp.zeros((1, explained.shape[1]), explained.dtype)
+    return errors.mean_deviation(errors.variance[None] - jnp.concatenate([before, explained]))
+
+
+def _piece_lengths(waypoints: Float[Array, "W 2"]) -> Float[Array, "V"]:
+    squared = jnp.sum(jnp.diff(waypoints, axis=0) ** 2, axis=-1)
+    # The gradient of the root at 0 is infinite: pieces without length have none.
+    return jnp.where(squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0)

@@ -1,0 +1,110 @@
+"""The error that a route leaves equals the posterior of scikit-learn given all samples at once."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.surveys.information import PointErrors, expected_error, path_length, points_at, samples_along
+
+VARIANCE, LENGTHSCALE, NOISE, SPACING = 0.8, 1.2, 0.01, 0.4
+ROUTE = np.array([[0.5, 0.5], [3.0, 0.5], [3.0, 2.1], [0.5, 3.5]])
+GRID = np.stack(np.meshgrid(np.linspace(0, 4, 5), np.linspace(0, 4, 5)), axis=-1).reshape(-1, 2)
+DATA = np.array([[2.0, 3.0], [3.5, 3.5], [0.2, 2.0]])
+
+
+def belief(data, capacity=8):
+    kernel = Scaled(Matern52(jnp.asarray(LENGTHSCALE)), jnp.asarray(VARIANCE))
+    return GaussianProcess.fit(kernel, NOISE, data, np.zeros(len(data)), capacity=capacity)
+
+
+def walked(route, distances):
+    """Points of a polyline at these distances."""
+    ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
+    return np.stack([np.interp(distances, ends, route[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def deviation(samples):
+    model = GaussianProcessRegressor(
+        ConstantKernel(VARIANCE, "fixed") * Matern(LENGTHSCALE, "fixed", nu=2.5), alpha=NOISE
+    )
+    model.fit(np.concatenate([DATA, samples]), np.zeros(len(DATA) + len(samples)))
+    return np.asarray(model.predict(GRID, return_std=True))[1]
+
+
+def test_samples_lie_at_their_distances_along_the_route():
+    distances = np.array([0.0, 0.3, 2.5, 3.9, 4.2, 6.0, 99.0])
+    found = points_at(jnp.asarray(ROUTE), jnp.asarray(distances))
+    np.testing.assert_allclose(found, walked(ROUTE, distances), atol=1e-12)
+
+
+def test_the_error_after_each_sample_is_the_one_of_scikit_learn():
+    distances, errors = expected_error(belief(DATA), jnp.asarray(ROUTE), jnp.asarray(GRID), SPACING)
+    samples = walked(ROUTE, np.asarray(distances[1:]))
+    expected = [deviation(samples[:number]).mean() for number in range(len(samples) + 1)]
+    assert len(distances) == 1 + int(float(path_length(jnp.asarray(ROUTE))) / SPACING)
+    np.testing.assert_allclose(errors, expected, rtol=1e-8)
+
+
+def test_weights_choose_where_the_error_counts():
+    weights = np.where(GRID[:, 0] < 2.0, 3.0, 0.0)
+    _, errors = expected_error(
+        belief(DATA), jnp.asarray(ROUTE), jnp.asarray(GRID), SPACING, jnp.asarray(weights)
+    )
+    samples = walked(ROUTE, SPACING * np.arange(1, len(errors)))
+    np.testing.assert_allclose(errors[-1], deviation(samples)[GRID[:, 0] < 2.0].mean(), rtol=1e-8)
+
+
+def test_samples_beyond_the_end_of_a_route_teach_nothing():
+    errors = PointErrors.of(belief(DATA), jnp.asarray(GRID))
+    route = jnp.asarray(ROUTE)
+    on_route = int(float(path_length(route)) / SPACING)
+    np.testing.assert_allclose(
+        errors.after(*samples_along(route, SPACING, on_route + 7)),
+        errors.after(*samples_along(route, SPACING, on_route)),
+        rtol=1e-12,
+    )
+
+
+def test_the_gradient_of_the_loss_is_its_slope():
+    errors = PointErrors.of(belief(DATA), jnp.asarray(GRID))
+
+    @jax.jit
+    def loss(route):
+        return errors.after(*samples_along(route, SPACING, 14))
+
+    gradient = jax.grad(loss)(jnp.asarray(ROUTE))
+    step = 1e-6
+    for index in np.ndindex(ROUTE.shape):
+        away = np.zeros_like(ROUTE)
+        away[index] = step
+        slope = (loss(jnp.asarray(ROUTE + away)) - loss(jnp.asarray(ROUTE - away))) / (2 * step)
+        np.testing.assert_allclose(gradient[index], slope, atol=1e-7)
+
+
+def test_a_batch_of_routes_is_a_loop_over_them():
+    errors = PointErrors.of(belief(DATA), jnp.asarray(GRID))
+    routes = jnp.asarray(np.stack([ROUTE, ROUTE[::-1], ROUTE + 0.3]))
+
+    def loss(route):
+        return errors.after(*samples_along(route, SPACING, 14))
+
+    np.testing.assert_allclose(jax.vmap(loss)(routes), [loss(route) for route in routes], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"spacing": 0.0}, "spacing: got 0; allowed: > 0 m"),
+        ({"waypoints": jnp.zeros((1, 2))}, r"waypoints: got shape \(1, 2\); allowed: at least 2 rows"),
+        ({"grid": jnp.zeros((0, 2))}, "grid: got no points"),
+    ],
+)
+def test_bad_input_is_one_line(change, message):
+    given = {"waypoints": jnp.asarray(ROUTE), "grid": jnp.asarray(GRID), "spacing": SPACING} | change
+    with pytest.raises(ValueError, match=message):
+        expected_error(belief(DATA), **given)
