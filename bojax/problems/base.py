@@ -65,12 +65,12 @@ class Problem(eqx.Module):
     @property
     @abc.abstractmethod
     def run_columns(self) -> Table:
-        """Columns of `runs.parquet`: any of `RUN_COLUMNS`, and those of `summary`."""
+        """Columns of `runs.parquet`: those of `summary`, and any that the experiment fills in (see below)."""
 
     @property
     @abc.abstractmethod
     def step_columns(self) -> Table:
-        """Columns of `steps.parquet`: any of `STEP_COLUMNS`, and those of `row`."""
+        """Columns of `steps.parquet`: those of `row`, and any that the experiment fills in (see below)."""
 
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> World:
@@ -105,7 +105,7 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def summary(self, record: Record, world: World, belief: Belief) -> dict[str, Scalar]:
-        """What `runs.parquet` says about an episode, beside `RUN_COLUMNS`."""
+        """What `runs.parquet` says about an episode, beside what the experiment fills in."""
 
     def begin_record(self, world: World, num_samples: int) -> Record:
         """The record before the first action, of `max_steps` actions; None if nothing is recorded."""
@@ -124,15 +124,14 @@ class Problem(eqx.Module):
         return None
 
 
+# Columns of `runs.parquet` that the experiment fills in.
 RETURN = Column("return", "float64", "", "sum of the task's rewards")
 DISCOUNTED_RETURN = Column(
     "discounted_return", "float64", "", "sum of the task's rewards, each discounted by its step"
 )
 STEPS = Column("steps", "int32", "", "actions taken")
 
-RUN_COLUMNS: Table = (RETURN, DISCOUNTED_RETURN, STEPS)
-"""Columns of `runs.parquet` that the experiment fills in."""
-
+# Columns of `steps.parquet` that the experiment fills in.
 STEP = Column("step", "int32", "", "number of the action, from 1")
 REWARD = Column("reward", "float64", "", "the task's reward")
 PLANNED_REWARD = Column("planned_reward", "float64", "", "reward that the planner expected of the action")
@@ -145,6 +144,3 @@ PLANNED_VALUE = Column(
 )
 ACCUMULATED_REWARD = Column("accumulated_reward", "float64", "", "sum of the task's rewards so far")
 DONE = Column("done", "bool", "", "the episode ended with this action")
-
-STEP_COLUMNS: Table = (STEP, REWARD, PLANNED_REWARD, PLANNED_VALUE, ACCUMULATED_REWARD, DONE)
-"""Columns of `steps.parquet` that the experiment fills in."""
