@@ -53,6 +53,11 @@ class Ground:
         return cls(parts[0], Transfers(parts[0]))
 
     @property
+    def rings(self) -> list[np.ndarray]:
+        """Its border and those of its holes, each closed by its first corner."""
+        return rings_of(self.shape)
+
+    @property
     def size(self) -> float:
         """The area, m^2."""
         return float(self.shape.area)
@@ -89,7 +94,7 @@ def lawnmower(
         raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
     ground = area if isinstance(area, Ground) else Ground.of(area, start if start is not None else end)
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    rings = [ring[:-1] @ turn.T for ring in rings_of(ground.shape)]
+    rings = [ring[:-1] @ turn.T for ring in ground.rings]
     cells = [[line @ turn for line in cell] for cell in _cells(rings, spacing)]
     legs = _in_order([_ways(cell) for cell in cells], start, end)
     stops = [np.asarray(start, float)[None]] if start is not None else []

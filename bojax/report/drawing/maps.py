@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
@@ -80,7 +81,7 @@ def draw_samples(axes: Axes, belief: Belief) -> None:
         axes.scatter(*belief["samples"][:, :2].T, s=1.6, color=style.INK, linewidths=0, zorder=2.4)
 
 
-def draw_scale(figure: Figure, image: AxesImage, panels: Iterable[Axes], **options: Any) -> Colorbar:
+def draw_scale(figure: Figure, image: ScalarMappable, panels: Iterable[Axes], **options: Any) -> Colorbar:
     """Draw the scale of a map below its panels."""
     bar = figure.colorbar(image, ax=list(panels), location="bottom", **options)
     bar.ax.spines["outline"].set_visible(False)

@@ -1,0 +1,174 @@
+"""The page of a planned survey, from the files of its folder."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+
+from bojax.report import style
+from bojax.report.drawing.base import Drawing
+from bojax.report.drawing.maps import QUIET, draw_scale
+from bojax.report.tables import Cell, Table
+from bojax.report.template import fill
+from bojax.report.text import counted, number
+from bojax.results.store import read_json, write_content
+
+SURVEY, ARRAYS = "survey.json", "survey.npz"
+"""The files of a survey: what was asked and found, and the arrays of its map."""
+
+
+def build_survey_page(folder: Path) -> Path:
+    """Write the figures and `report.html` of a planned survey, and return the path of the page."""
+    survey = read_json(folder / SURVEY)
+    with np.load(folder / ARRAYS) as arrays:
+        maps = dict(arrays)
+    with style.settings():
+        plates = {
+            "route": _draw_route(survey, maps).encoded(),
+            "error": _draw_errors(survey).encoded(),
+        }
+    style.write_images(folder / style.FIGURES, {name: plate.files for name, plate in plates.items()})
+    page = fill(
+        "survey.html.j2",
+        title=f"Survey of {survey['area']}",
+        summary=_summary(survey),
+        counts=[],
+        plates=list(plates.values()),
+        candidates=_table(survey),
+        settings=list(survey["settings"].items()),
+        provenance=list(survey["provenance"].items()),
+        footer="Written by bojax from the files of this folder, which hold every number shown here.",
+    )
+    path = folder / "report.html"
+    write_content(path, page)
+    return path
+
+
+def survey_summary(folder: Path) -> str:
+    """What was chosen in a survey's folder, and what it gains, in sentences."""
+    return _summary(read_json(folder / SURVEY))
+
+
+def _summary(survey: Mapping[str, Any]) -> str:
+    chosen, mower = survey["candidates"][0], _lawnmower(survey)
+    before = chosen["errors"][0]
+    text = (
+        f"The best of {counted(len(survey['candidates']), 'candidate')} is: {chosen['name']}, "
+        f"{_distance(chosen['length'])} long. It takes the mean standard deviation over the area from "
+        f"{number(before)} to {number(chosen['errors'][-1])}"
+    )
+    if chosen is mower:
+        return f"{text}."
+    gain = 1.0 - chosen["errors"][-1] / mower["errors"][-1]
+    return f"{text}, {100 * gain:.1f}% less than the best lawnmower ({number(mower['errors'][-1])})."
+
+
+def _lawnmower(survey: Mapping[str, Any]) -> Mapping[str, Any]:
+    return next(each for each in survey["candidates"] if each["method"] == "lawnmower")
+
+
+def _distance(metres: float) -> str:
+    return f"{metres / 1000:.2f} km" if metres >= 1000 else f"{metres:.3g} m"
+
+
+def _unit(extent: float) -> tuple[str, float]:
+    return ("km", 1000.0) if extent >= 2000 else ("m", 1.0)
+
+
+def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Drawing:
+    """The route on a map of the expected standard deviation."""
+    chosen, side = survey["candidates"][0], survey["grid_spacing"]
+    unit, scale = _unit(float(np.ptp(maps["outline"], axis=0).max()))
+    low, high = maps["outline"].min(0) / scale, maps["outline"].max(0) / scale
+    width, height = high - low
+    figure, grid = style.figure(min(7.0, max(2.6, 0.9 + 4.0 * height / width)))
+    axes = grid[0, 0]
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
+    cells = PolyCollection(
+        list((maps["grid"][:, None] + corners) / scale),
+        array=maps["after"],
+        cmap=QUIET,
+        edgecolors="face",
+        linewidths=0.2,
+    )
+    cells.set_clim(0.0, float(maps["before"].max()))
+    cells.set_rasterized(True)
+    axes.add_collection(cells)
+    axes.add_patch(PathPatch(_outline(maps, scale), fill=False, edgecolor=style.INK, linewidth=0.8))
+    route = np.asarray(chosen["waypoints"]) / scale
+    axes.plot(*route.T, color=style.BLUE, linewidth=1.1)
+    axes.plot(*route[0], marker="o", color=style.BLUE, markersize=5)
+    axes.plot(*route[-1], marker="s", color=style.BLUE, markersize=5)
+    axes.set_aspect("equal")
+    margin = 0.03 * max(width, height)
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_xlabel(f"x ({unit})")
+    axes.set_ylabel(f"y ({unit})")
+    draw_scale(figure, cells, [axes], shrink=0.7, label="expected standard deviation after the survey")
+    return Drawing(
+        figure,
+        "Route",
+        f"The proposed route ({chosen['name']}), from the dot to the square, on the standard "
+        "deviation that the model expects after it. x is to the east and y to the north of the lower left "
+        "corner of the area.",
+        f"A route of {_distance(chosen['length'])} in the area; {chosen['name']}.",
+    )
+
+
+def _outline(maps: Mapping[str, np.ndarray], scale: float) -> Outline:
+    """The border of the area and of its holes."""
+    rings = np.split(maps["outline"] / scale, maps["ring_ends"][:-1])
+    codes = []
+    for ring in rings:
+        codes += [Outline.MOVETO, *[Outline.LINETO] * (len(ring) - 2), Outline.CLOSEPOLY]
+    return Outline(np.concatenate(rings), codes)
+
+
+def _draw_errors(survey: Mapping[str, Any]) -> Drawing:
+    """Expected error against distance."""
+    chosen, mower = survey["candidates"][0], _lawnmower(survey)
+    unit, scale = _unit(max(each["length"] for each in survey["candidates"]))
+    figure, grid = style.figure(3.0)
+    axes = grid[0, 0]
+    for each in survey["candidates"]:
+        if each is not chosen and each is not mower:
+            axes.plot(np.asarray(each["distances"]) / scale, each["errors"], color="#C4C8CA", linewidth=0.8)
+    drawn = (
+        []
+        if chosen is mower
+        else [(mower, f"best lawnmower ({mower['detail']})", style.ORANGE, style.LINES[1])]
+    )
+    for each, name, colour, dashes in [*drawn, (chosen, chosen["name"], style.BLUE, style.LINES[0])]:
+        axes.plot(
+            np.asarray(each["distances"]) / scale, each["errors"], color=colour, linestyle=dashes, label=name
+        )
+    style.quiet_grid(axes)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel(f"distance ({unit})")
+    axes.set_ylabel("mean standard deviation")
+    axes.legend(frameon=False, loc="lower left")
+    return Drawing(
+        figure,
+        "Expected error against distance",
+        "Mean over the area of the standard deviation that the model expects after the measurements up to "
+        "each distance. Grey: the other candidates.",
+        _summary(survey),
+    )
+
+
+def _table(survey: Mapping[str, Any]) -> Table:
+    rows = []
+    for each in survey["candidates"]:
+        cells = [_distance(each["length"]), number(each["errors"][-1]), str(len(each["waypoints"]))]
+        rows.append((each["name"], [Cell(text) for text in cells]))
+    caption = (
+        "All routes that were compared, the proposed one first. Error: mean over the area of the standard "
+        f"deviation that the model expects at the end. {survey['rule']}"
+    )
+    return Table(["length", "error", "waypoints"], rows, caption)

@@ -1,0 +1,94 @@
+"""The files of a planned survey."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bojax import __version__
+from bojax.results.store import make_folder, write_arrays, write_json
+from bojax.surveys.model import FieldModel
+from bojax.surveys.place import Place
+from bojax.surveys.planning import Candidate, Survey
+from bojax.surveys.shapes import rings_of, to_shape
+from bojax.surveys.waypoints import write_waypoints
+
+
+def write_survey(
+    folder: Path,
+    place: Place,
+    model: FieldModel,
+    survey: Survey,
+    budget: float | None,
+    speed: float | None,
+    command: str,
+) -> list[Path]:
+    """Write the waypoints of the proposed route, and what a page needs, and return the paths of the former.
+
+    `survey.json` holds the candidates, the model and the settings; `survey.npz` the map: `grid [M, 2]`, the
+    standard deviations `before [M]` and `after [M]`, and the border, `outline [P, 2]` with `ring_ends`.
+    """
+    make_folder(folder)
+    files = write_waypoints(folder, survey.chosen.waypoints, place.projection, speed)
+    rings = rings_of(to_shape(place.area))
+    arrays = {
+        "grid": survey.grid,
+        "before": survey.before,
+        "after": survey.after,
+        "outline": np.concatenate(rings),
+        "ring_ends": np.cumsum([len(ring) for ring in rings]),
+    }
+    write_arrays(folder / "survey.npz", arrays)
+    content = {
+        "area": place.name,
+        "rule": "Best is the least error."
+        if budget is not None
+        else "All cover the area: best is the shortest.",
+        "grid_spacing": survey.grid_spacing,
+        "settings": _settings(place, model, survey, budget, speed),
+        "candidates": [_plain(each) for each in survey.candidates],
+        "projection": {
+            "crs": place.projection.crs,
+            "origin": list(place.projection.origin),
+            "scale": list(place.projection.scale),
+        },
+        "provenance": {"command": command, "bojax": __version__},
+    }
+    write_json(folder / "survey.json", content)
+    return files
+
+
+def _settings(
+    place: Place, model: FieldModel, survey: Survey, budget: float | None, speed: float | None
+) -> dict[str, str]:
+    chosen = survey.chosen
+    rows = {
+        "area": f"{place.size / 1e6:.4g} km\N{SUPERSCRIPT TWO}"
+        if place.size > 1e5
+        else f"{place.size:.4g} m\N{SUPERSCRIPT TWO}",
+        "model": f"Matern 5/2; {model.source}",
+        "lengthscale": f"{model.lengthscale:.4g} m",
+        "standard deviation of the field": f"{model.std:.4g}",
+        "standard deviation of the noise": f"{model.noise:.4g}",
+        "distance between measurements": f"{survey.sampling:.4g} m",
+        "budget": "none: the area is covered" if budget is None else f"{budget:.6g} m",
+    }
+    if survey.lines is not None:
+        rows["distance between lines"] = f"{survey.lines:.4g} m"
+    if speed is not None:
+        rows["duration"] = f"{chosen.length / speed / 60:.1f} min at {speed:g} m/s"
+    for number, note in enumerate(place.notes, start=1):
+        rows[f"note {number}"] = note
+    return rows
+
+
+def _plain(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "name": candidate.name,
+        "method": candidate.method,
+        "detail": candidate.detail,
+        "length": candidate.length,
+        "distances": candidate.distances.tolist(),
+        "errors": candidate.errors.tolist(),
+        "waypoints": candidate.waypoints.tolist(),
+    }

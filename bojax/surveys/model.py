@@ -1,0 +1,112 @@
+"""The model of the field that a survey expects: a Gaussian process, learned from an earlier survey if any."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bojax.fields.data import read_points
+from bojax.fields.raster import DEGREES
+from bojax.fields.raster_files import read_raster
+from bojax.models.evidence import log_normal_prior, relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.surveys.place import MOST_CELLS, Place
+
+MOST_POINTS = 200
+"""Points of an earlier survey that the model is learned from."""
+
+NOISE = 0.1  # standard deviation of the noise of a measurement, as a share of that of the field
+
+
+@dataclass(frozen=True)
+class FieldModel:
+    """A stationary model of a field: a Matern kernel of smoothness 5/2, and noise.
+
+    Attributes:
+        lengthscale: Distance over which values are alike, m.
+        std: Standard deviation of the field around its mean.
+        noise: Standard deviation of the noise of a measurement.
+        source: Where the numbers come from, for the report.
+    """
+
+    lengthscale: float
+    std: float
+    noise: float
+    source: str
+
+    def belief(self) -> GaussianProcess:
+        """The belief about the field before the survey; inputs are in metres."""
+        kernel = Scaled(Matern52(jnp.asarray(self.lengthscale)), jnp.asarray(self.std**2))
+        return GaussianProcess.prior(kernel, jnp.asarray(self.noise**2), 1, 2)
+
+
+def assumed_model(size: float, lengthscale: float | None) -> FieldModel:
+    """A model without data: standard deviation 1, and a lengthscale of a tenth of the root of the area."""
+    if lengthscale is not None:
+        return FieldModel(lengthscale, 1.0, NOISE, "lengthscale as given, standard deviation 1")
+    assumed = size**0.5 / 10.0
+    return FieldModel(
+        assumed, 1.0, NOISE, "assumed: lengthscale a tenth of the root of the area, standard deviation 1"
+    )
+
+
+def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldModel:
+    """The model that maximises the posterior density given an earlier survey of the field.
+
+    Args:
+        file: A raster, or rows of x, y and value, in the area or near it.
+        place: What is surveyed.
+        lengthscale: Its lengthscale, m; learned if None.
+
+    Raises:
+        ValueError: The file cannot be read, has fewer than 10 values, or all of them are equal.
+    """
+    points, values = _read_values(file, place)
+    if len(values) < 10:
+        raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
+    chosen = np.random.default_rng(0).permutation(len(values))[:MOST_POINTS]
+    points, values = points[chosen], values[chosen]
+    scale = float(values.std())
+    if scale <= 1e-12 * np.abs(values).max() or scale == 0.0:
+        raise ValueError(f"{file}: all values are {values[0]:g}; allowed: values that differ")
+    extent = float(np.ptp(points, axis=0).max())
+    gp = GaussianProcess.fit(
+        Scaled(Matern52(jnp.asarray(lengthscale or extent / 10.0)), jnp.asarray(1.0)),
+        jnp.asarray(NOISE**2),
+        jnp.asarray(points),
+        jnp.asarray((values - values.mean()) / scale),
+    )
+    # A broad prior: few or clustered points determine a lengthscale poorly.
+    prior = log_normal_prior(gp.kernel, gp.noise_variance, jnp.asarray(1.0))
+    learned, _ = eqx.filter_jit(relearn)(
+        gp, jax.random.key(0), learn_mean=True, log_prior=prior, num_starts=4
+    )
+    assert isinstance(learned.kernel, Scaled) and isinstance(learned.kernel.kernel, Matern52)
+    found = float(learned.kernel.kernel.lengthscale)
+    std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
+    source = f"learned from {len(values)} values of {Path(file).name}"
+    return FieldModel(lengthscale or found, std, noise, source)
+
+
+def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray]:
+    """Points `[N, 2]` in metres of the place and values `[N]` of an earlier survey."""
+    try:
+        if Path(file).suffix.lower() in (".csv", ".txt", ".xyz"):
+            rows, names = read_points(file)
+            # Columns without the name of a longitude are in the coordinates of the area.
+            crs = DEGREES if names and names[0].startswith("lon") else place.projection.crs
+            points, values = rows[:, :2], rows[:, 2]
+        else:
+            raster = read_raster(file, MOST_CELLS)
+            x, y = np.meshgrid(raster.x, raster.y)
+            has_data = ~raster.is_hole
+            points, values = np.stack([x[has_data], y[has_data]], axis=1), raster.values[has_data]
+            crs = raster.crs
+        return place.projection.from_other(points, crs), values
+    except ValueError as error:
+        message = str(error)
+        raise ValueError(message if message.startswith(file) else f"{file}: {message}") from error

@@ -1,0 +1,184 @@
+"""What is surveyed: an area from a file or a size, in metres, with its place on the Earth."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bojax.fields.projection import TOLERANCE, Projection
+from bojax.fields.raster import Raster
+from bojax.fields.raster_files import SUFFIXES as RASTERS
+from bojax.fields.raster_files import read_raster
+from bojax.surveys import polygons
+from bojax.surveys.area import Area
+from bojax.surveys.shapes import shapely_module, to_area, to_shape
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+MOST_CELLS = 1_000_000
+"""Cells of a raster; larger ones are thinned."""
+
+_SIZE = re.compile(r"([\d.eE+]+)\s*(k?m)?\s*x\s*([\d.eE+]+)\s*(k?m)?")
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """An area in metres, and where it lies.
+
+    Attributes:
+        name: What it was read from.
+        area: The area, in the frame of `projection`.
+        projection: The frame.
+        notes: What a user should know of how it was read, a sentence each.
+    """
+
+    name: str
+    area: Area
+    projection: Projection
+    notes: tuple[str, ...] = ()
+
+    def point(self, given: Sequence[float], name: str) -> np.ndarray:
+        """A point of the area given in the coordinates of its file, in metres.
+
+        Raises:
+            ValueError: It is not in the area; the message begins with `name`.
+        """
+        point = self.projection.to_local(np.asarray(given, float))
+        if not self.area.contains(point[None])[0] and self.area.distances(point[None])[0] < -1e-6:
+            x_min, y_min, x_max, y_max = self.bounds
+            within = f"x from {x_min:.8g} to {x_max:.8g} and y from {y_min:.8g} to {y_max:.8g}"
+            got = ",".join(f"{value:.8g}" for value in given)
+            raise ValueError(
+                f"{name}: got {got}, which is not in the area; allowed: points in it, with {within}"
+            )
+        return point
+
+    @property
+    def size(self) -> float:
+        """Its area, m^2."""
+        return float(to_shape(self.area).area)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """`(x_min, y_min, x_max, y_max)` in the coordinates of the file."""
+        low, high = self.projection.from_local(np.array(self.area.bounds).reshape(2, 2))
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    def without(self, file: str) -> "Place":
+        """The place without the no-go zones in a file of polygons, or the data of a raster.
+
+        Raises:
+            ValueError: The file cannot be read, has another system, or nothing of the area is left.
+        """
+        try:
+            if Path(file).suffix.lower() in polygons.SUFFIXES:
+                read = polygons.read_polygons(file)
+                zones = _moved(read.shape, lambda points: self.projection.from_other(points, read.crs))
+            else:
+                raster = read_raster(file, MOST_CELLS)
+                shape = _shape_of(raster, ~raster.is_hole)
+                zones = _moved(shape, lambda points: self.projection.from_other(points, raster.crs))
+        except ValueError as error:
+            raise ValueError(_after(file, error)) from error
+        shape = to_shape(self.area)
+        left = shapely_module().difference(shape, zones)
+        if left.area <= 1e-9 * shape.area:
+            raise ValueError(f"{file}: its no-go zones leave nothing of the area")
+        notes = self.notes
+        if left.area >= (1.0 - 1e-12) * shape.area:
+            notes = (*notes, f"{file}: no part of it is in the area.")
+        return replace(self, area=to_area(left), notes=notes)
+
+
+def read_place(area: str, below: float | None = None) -> Place:
+    """The area that a text names: a file of polygons or of a raster, or a size such as `500x300`, in metres.
+
+    Args:
+        area: Name of the file, or the size.
+        below: Of a raster, only cells with values below this number belong to the area.
+
+    Raises:
+        ValueError: The file cannot be read, or has no area. The message is one line.
+    """
+    if size := _SIZE.fullmatch(area):
+        width, height = (_metres(size[i], size[i + 1] or size[4] or "m", area) for i in (1, 3))
+        return Place(
+            area, Area.rectangle(0.0, 0.0, width, height), Projection.of(None, (0, 0, width, height))
+        )
+    suffix = Path(area.partition(".nc:")[0] + ".nc" if ".nc:" in area else area).suffix.lower()
+    if suffix not in (*polygons.SUFFIXES, *RASTERS):
+        allowed = f"a size such as 500x300, or a file: {', '.join((*polygons.SUFFIXES, *RASTERS))}"
+        raise ValueError(f"area: got {area}; allowed: {allowed}")
+    notes: list[str] = []
+    try:
+        if suffix in polygons.SUFFIXES:
+            if below is not None:
+                raise ValueError("polygons have no values; allowed with --below: a raster")
+            read = polygons.read_polygons(area)
+            shape, crs = read.shape, read.crs
+        else:
+            raster = read_raster(area, MOST_CELLS)
+            shape, crs = _surveyed(raster, below), raster.crs
+            if raster.step > 1:
+                notes.append(f"{area}: only every {raster.step}th row and column is used.")
+        x_min, y_min, x_max, y_max = shape.bounds
+        projection = Projection.of(crs, (x_min, y_min, x_max, y_max))
+    except ValueError as error:
+        raise ValueError(_after(area, error)) from error
+    if projection.distortion > TOLERANCE:
+        notes.append(
+            f"{area}: is so large that distances from west to east are off by up to "
+            f"{100 * projection.distortion:.0f}% in its north and south."
+        )
+    return Place(area, to_area(_moved(shape, projection.to_local)), projection, tuple(notes))
+
+
+def _after(file: str, error: ValueError) -> str:
+    message = str(error)
+    return message if message.startswith(file.partition(".nc:")[0]) else f"{file}: {message}"
+
+
+def _metres(text: str, unit: str, name: str) -> float:
+    try:
+        value = float(text) * (1000.0 if unit == "km" else 1.0)
+    except ValueError:
+        value = math.nan
+    if not (0 < value < 1e9):
+        raise ValueError(f"area: got {name}; allowed: two lengths above 0, such as 500x300 or 2kmx1.5km")
+    return value
+
+
+def _surveyed(raster: Raster, below: float | None) -> "BaseGeometry":
+    inside = ~raster.is_hole
+    if below is not None:
+        inside &= np.nan_to_num(raster.values, nan=np.inf) < below
+        if not inside.any():
+            low, high = np.nanmin(raster.values), np.nanmax(raster.values)
+            raise ValueError(f"no cell is below {below:g}: the values are from {low:g} to {high:g}")
+    return _shape_of(raster, inside)
+
+
+def _shape_of(raster: Raster, inside: np.ndarray) -> "BaseGeometry":
+    """Polygons around the cells that are inside; their border is half a cell from the centres of these."""
+    from contourpy import FillType, contour_generator
+
+    shapely = shapely_module()
+    x_step, y_step = raster.x[1] - raster.x[0], raster.y[1] - raster.y[0]
+    x = np.concatenate([[raster.x[0] - x_step], raster.x, [raster.x[-1] + x_step]])
+    y = np.concatenate([[raster.y[0] - y_step], raster.y, [raster.y[-1] + y_step]])
+    generator = contour_generator(x, y, np.pad(inside, 1).astype(float), fill_type=FillType.OuterOffset)
+    found = []
+    for points, offsets in zip(*generator.filled(0.5, 2.0), strict=True):
+        rings = [points[begin:end] for begin, end in zip(offsets[:-1], offsets[1:], strict=True)]
+        found.append(shapely.Polygon(rings[0], rings[1:]))
+    shape = shapely.make_valid(shapely.union_all(found))
+    return shape.simplify(0.3 * min(x_step, y_step))
+
+
+def _moved(shape: "BaseGeometry", map_points) -> "BaseGeometry":
+    return shapely_module().transform(shape, map_points)

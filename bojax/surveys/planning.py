@@ -1,0 +1,215 @@
+"""Choosing the route of a survey: candidates, and the error that the model expects after each."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from bojax.surveys.area import Area
+from bojax.surveys.information import PointErrors
+from bojax.surveys.lawnmower import (
+    DIRECTIONS,
+    Ground,
+    check_budget,
+    lawnmower,
+    lawnmowers_within,
+    route_length,
+)
+from bojax.surveys.model import FieldModel
+
+GRID_POINTS = 1500
+"""Number of points at which the error counts."""
+
+MOST_SAMPLES = 600
+"""Number of samples of the longest candidate; each stands for several measurements if there are more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A route, and the error that it is expected to leave.
+
+    Attributes:
+        method: `lawnmower` or `route`.
+        detail: What distinguishes it from others of its method.
+        waypoints: `[W, 2]`, m.
+        distances: Distances from the start, m; 0 first.
+        errors: Mean standard deviation over the area after the measurements up to each distance.
+    """
+
+    method: str
+    detail: str
+    waypoints: np.ndarray
+    distances: np.ndarray
+    errors: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Its method and detail."""
+        return f"{self.method}, {self.detail}" if self.detail else self.method
+
+    @property
+    def length(self) -> float:
+        """Length of the route, m."""
+        return route_length(self.waypoints)
+
+    @property
+    def error(self) -> float:
+        """The error at its end."""
+        return float(self.errors[-1])
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What is asked of a route.
+
+    Attributes:
+        budget: Maximum length, m; None to cover the area with lines at `spacing`.
+        start: First point, m; free if None.
+        end: Last point, m; free if None.
+        spacing: Least distance between two lines, m; None for none with a budget, and for the lengthscale of
+            the model without.
+        sampling: Distance between two measurements, m; None for a fifth of the lengthscale.
+    """
+
+    budget: float | None = None
+    start: np.ndarray | None = None
+    end: np.ndarray | None = None
+    spacing: float | None = None
+    sampling: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A planned survey.
+
+    Attributes:
+        candidates: All routes, the one that leaves the least error first.
+        grid: Points at which the error counts, `[M, 2]`, m.
+        grid_spacing: Distance between two of them, m.
+        before: Standard deviation at each before the survey.
+        after: The same after the first candidate.
+        sampling: Distance between two measurements, m.
+        lines: Distance between two lines, m, if there is no budget.
+    """
+
+    candidates: tuple[Candidate, ...]
+    grid: np.ndarray
+    grid_spacing: float
+    before: np.ndarray
+    after: np.ndarray
+    sampling: float
+    lines: float | None
+
+    @property
+    def chosen(self) -> Candidate:
+        """The proposed route."""
+        return self.candidates[0]
+
+    @property
+    def lawnmower(self) -> Candidate:
+        """The best lawnmower."""
+        return next(each for each in self.candidates if each.method == "lawnmower")
+
+
+Routes = Callable[[PointErrors, Sequence[np.ndarray]], Sequence[tuple[str, np.ndarray]]]
+"""Further candidates, each with a detail, from the belief and the lawnmowers."""
+
+
+def plan_survey(area: Area, model: FieldModel, demand: Demand, more: Routes | None = None) -> Survey:
+    """The candidate after which the model expects the least error, with all others.
+
+    Args:
+        area: The area; of several parts, the one with the start or else the largest is surveyed.
+        model: The model of the field.
+        demand: Budget and ends.
+        more: Planner of further routes.
+
+    Raises:
+        ValueError: The ends cannot be reached within the budget, or are not in the area.
+    """
+    known_end = demand.start if demand.start is not None else demand.end
+    ground = Ground.of(area, known_end)
+    if demand.budget is not None:
+        check_budget(ground, demand.budget, demand.start, demand.end)
+    routes, lines = _lawnmowers(ground, model, demand)
+    part = Area(tuple(np.array(ring) for ring in ground.rings))
+    spacing = math.sqrt(ground.size / GRID_POINTS)
+    grid = part.grid(spacing)
+    errors = PointErrors.of(model.belief(), jnp.asarray(grid))
+    if more is not None:
+        found = more(errors, [route for _, route in routes])
+        named = [("lawnmower", *each) for each in routes] + [("route", *each) for each in found]
+    else:
+        named = [("lawnmower", *each) for each in routes]
+    longest = max(route_length(route) for _, _, route in named)
+    sampling = demand.sampling or model.lengthscale / 5.0
+    number = int(min(MOST_SAMPLES, max(1, longest // sampling)))
+    step = max(sampling, longest / number)
+    candidates = []
+    variances = []
+    for method, detail, route in named:
+        samples, is_taken = _samples(route, step, number)
+        curve, variance = _outcome(errors, jnp.asarray(samples), jnp.asarray(is_taken), step / sampling)
+        taken = int(is_taken.sum())
+        distances = step * np.arange(taken + 1)
+        candidates.append(Candidate(method, detail, route, distances, np.asarray(curve)[: taken + 1]))
+        variances.append(np.asarray(variance))
+    # Without a budget every candidate covers the area: the shortest one is the best.
+    by_length = demand.budget is None
+    order = sorted(
+        range(len(candidates)),
+        key=lambda i: (candidates[i].length if by_length else candidates[i].error, candidates[i].error),
+    )
+    return Survey(
+        tuple(candidates[index] for index in order),
+        grid,
+        spacing,
+        np.sqrt(np.asarray(errors.variance)),
+        np.sqrt(np.maximum(variances[order[0]], 0.0)),
+        sampling,
+        lines,
+    )
+
+
+def _lawnmowers(
+    ground: Ground, model: FieldModel, demand: Demand
+) -> tuple[list[tuple[str, np.ndarray]], float | None]:
+    """Lawnmowers in all directions, each with its direction, and the distance of lines without a budget."""
+    lines = None if demand.budget is not None else demand.spacing or model.lengthscale
+    routes = []
+    for index in range(DIRECTIONS):
+        angle = math.pi * index / DIRECTIONS
+        detail = f"lines at {180 * index / DIRECTIONS:g}\N{DEGREE SIGN}"
+        if demand.budget is None:
+            assert lines is not None
+            routes.append((detail, lawnmower(ground, lines, angle, demand.start, demand.end)))
+            continue
+        found = lawnmowers_within(
+            ground, demand.budget, angle, demand.start, demand.end, demand.spacing or 0.0
+        )
+        routes += [(detail if i == 0 else f"{detail}, cut", route) for i, route in enumerate(found)]
+    return routes, lines
+
+
+def _samples(route: np.ndarray, step: float, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points `[number, 2]` at every step of a route, and whether each lies on it."""
+    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
+    driven = np.concatenate([[0.0], np.cumsum(lengths)])
+    distances = step * np.arange(1, number + 1)
+    points = np.stack([np.interp(distances, driven, route[:, axis]) for axis in (0, 1)], axis=1)
+    return points, distances <= driven[-1] * (1.0 + 1e-9)
+
+
+@eqx.filter_jit
+def _outcome(
+    errors: PointErrors, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: float
+) -> tuple[Float[Array, "T"], Float[Array, "M"]]:
+    """Mean deviation after each number of samples, 0 first, and the variances after all."""
+    explained = jnp.cumsum(errors.explained(samples, is_taken, samples_per_point), axis=0)
+    before = jnp.zeros((1, explained.shape[1]), explained.dtype)
+    variance = errors.variance[None] - jnp.concatenate([before, explained])
+    return errors.mean_deviation(variance), variance[-1]

@@ -1,0 +1,81 @@
+"""Files of a route: CSV, GeoJSON, and the plan format of QGroundControl."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from bojax.fields.projection import Projection
+from bojax.results.store import write_content
+
+_BOAT, _ARDUPILOT, _WAYPOINT, _RELATIVE_ALTITUDE = 11, 3, 16, 3  # of MAVLink
+
+
+def write_waypoints(
+    folder: Path, waypoints: np.ndarray, projection: Projection, speed: float | None
+) -> list[Path]:
+    """Write a route `[W, 2]` in metres to a folder, and return the paths of the files.
+
+    `waypoints.csv` has x and y in metres, the coordinates of the area's file if they differ, longitude and
+    latitude if the area has a place on the Earth, and the distance from the start. `waypoints.geojson` is a
+    line; without a place on the Earth, its coordinates are metres. `waypoints.plan` needs such a place.
+    """
+    degrees = None if projection.crs is None else projection.to_degrees(waypoints)
+    columns = {"x": waypoints[:, 0], "y": waypoints[:, 1]}
+    if degrees is not None:
+        columns |= {"longitude": degrees[:, 0], "latitude": degrees[:, 1]}
+    steps = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+    columns["distance"] = np.concatenate([[0.0], np.cumsum(steps)])
+    formats = [".8f" if name in ("longitude", "latitude") else ".3f" for name in columns]
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(format(value, each) for value, each in zip(row, formats, strict=True)) for row in rows]
+    files = {"waypoints.csv": "\n".join([",".join(columns), *lines, ""])}
+    files["waypoints.geojson"] = json.dumps(_line(waypoints if degrees is None else degrees, degrees is None))
+    if degrees is not None:
+        files["waypoints.plan"] = json.dumps(_plan(degrees, speed), indent=1)
+    for name, content in files.items():
+        write_content(folder / name, content)
+    return [folder / name for name in files]
+
+
+def _line(coordinates: np.ndarray, is_local: bool) -> dict:
+    geometry = {"type": "LineString", "coordinates": np.round(coordinates, 3 if is_local else 8).tolist()}
+    feature = {"type": "Feature", "properties": {"name": "route"}, "geometry": geometry}
+    collection = {"type": "FeatureCollection", "features": [feature]}
+    return {**collection, "crs": None} if is_local else collection
+
+
+def _plan(degrees: np.ndarray, speed: float | None) -> dict:
+    """A plan for a boat with ArduPilot; QGroundControl converts it for another vehicle."""
+    items = [
+        {
+            "type": "SimpleItem",
+            "autoContinue": True,
+            "command": _WAYPOINT,
+            "doJumpId": number,
+            "frame": _RELATIVE_ALTITUDE,
+            "params": [0, 0, 0, None, round(float(latitude), 8), round(float(longitude), 8), 0],
+            "AMSLAltAboveTerrain": None,
+            "Altitude": 0,
+            "AltitudeMode": 1,
+        }
+        for number, (longitude, latitude) in enumerate(degrees, start=1)
+    ]
+    mission = {
+        "version": 2,
+        "firmwareType": _ARDUPILOT,
+        "vehicleType": _BOAT,
+        "cruiseSpeed": speed or 1.0,
+        "hoverSpeed": speed or 1.0,
+        "globalPlanAltitudeMode": 1,
+        "plannedHomePosition": [float(degrees[0, 1]), float(degrees[0, 0]), 0],
+        "items": items,
+    }
+    return {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": mission,
+    }
