@@ -83,7 +83,10 @@ class PointErrors(eqx.Module):
         return cls(posterior, grid, weights / jnp.sum(weights), whitened, variance)
 
     def explained(
-        self, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: float = 1.0
+        self,
+        samples: Float[Array, "S 2"],
+        is_taken: Bool[Array, "S"],
+        samples_per_point: Float[Array, ""] | float = 1.0,
     ) -> Float[Array, "S M"]:
         """Reduction of the variance at each grid point by each sample, given those before it.
 
@@ -112,11 +115,18 @@ class PointErrors(eqx.Module):
         return matmul(jnp.sqrt(jnp.maximum(variance, least)), self.weights)
 
     def after(
-        self, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: float = 1.0
+        self,
+        samples: Float[Array, "S 2"],
+        is_taken: Bool[Array, "S"],
+        samples_per_point: Float[Array, ""] | float = 1.0,
     ) -> Scalar:
-        """Mean posterior deviation after all samples; differentiable in their positions."""
+        """Root of the mean posterior variance after all samples; differentiable in their positions.
+
+        It is the root mean squared error that the belief expects. The mean deviation would weigh the points
+        that no route comes near too little: it is concave in the variance.
+        """
         explained = self.explained(samples, is_taken, samples_per_point)
-        return self.mean_deviation(self.variance - jnp.sum(explained, axis=0))
+        return jnp.sqrt(matmul(self.variance - jnp.sum(explained, axis=0), self.weights))
 
 
 def expected_error(

@@ -1,0 +1,189 @@
+"""Descent of all waypoints of many routes at once, under a hard budget of length."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.numerics.linalg import matmul
+from bojax.surveys.information import PointErrors, path_length, points_at, samples_along
+
+EXACT = 1.0 - 1e-12  # share of the budget that is used, so that rounding does not exceed it
+
+
+class Ends(eqx.Module):
+    """The fixed ends of a route, each None if it is free."""
+
+    start: Float[Array, "2"] | None
+    end: Float[Array, "2"] | None
+
+    def fixed(self, points: Float[Array, "W 2"]) -> Float[Array, "W 2"]:
+        """The points with the first and the last moved to the fixed ends."""
+        points = points if self.start is None else points.at[0].set(self.start)
+        return points if self.end is None else points.at[-1].set(self.end)
+
+    def shortest(self, points: Float[Array, "W 2"]) -> Float[Array, "W 2"]:
+        """The shortest route between the ends: a straight line, or a point that does not move."""
+        if self.start is not None and self.end is not None:
+            share = jnp.linspace(0.0, 1.0, points.shape[0], dtype=points.dtype)[:, None]
+            return (1.0 - share) * self.start[None] + share * self.end[None]
+        at = self.start if self.end is None else self.end
+        at = jnp.mean(points, axis=0) if at is None else at
+        return jnp.broadcast_to(at, points.shape)
+
+
+def within_budget(points: Float[Array, "W 2"], ends: Ends, budget: Float[Array, ""]) -> Float[Array, "W 2"]:
+    """The route of these waypoints between the ends, drawn in until its length is at most the budget.
+
+    The length of (1 - s) shortest + s route is convex in s, so it is at most (1 - s) d + s L, with the
+    lengths d and L of the two: the largest s for which this bound keeps the budget is used. The budget must
+    be at least d.
+    """
+    points = ends.fixed(points)
+    shortest = ends.shortest(points)
+    least = path_length(shortest)
+    extra = path_length(points) - least
+    share = jnp.clip((budget * EXACT - least) / jnp.where(extra > 0.0, extra, 1.0), 0.0, 1.0)
+    return (1.0 - share) * shortest + share * points
+
+
+class Models(eqx.Module):
+    """Plausible beliefs about the field: one Gaussian process on several linear maps of the plane.
+
+    Attributes:
+        maps: Linear maps A; the kernel of each belief is k(A x, A y).
+        errors: The beliefs at the mapped grid, stacked.
+    """
+
+    maps: Float[Array, "Q 2 2"]
+    errors: PointErrors
+
+    @classmethod
+    def of(
+        cls,
+        posterior: GaussianProcess,
+        grid: Float[Array, "M 2"],
+        weights: Float[Array, "M"],
+        maps: Float[Array, "Q 2 2"],
+    ) -> "Models":
+        """The beliefs given the data of `posterior`, under each map."""
+
+        def one(linear: Float[Array, "2 2"]) -> PointErrors:
+            mapped = eqx.tree_at(lambda gp: gp.x, posterior, matmul(posterior.x, linear.T))
+            mapped = mapped.refitted(posterior.kernel, posterior.noise_variance)
+            return PointErrors.of(mapped, matmul(grid, linear.T), weights)
+
+        return cls(maps, jax.lax.map(one, maps))
+
+    def error(
+        self,
+        index: Int[Array, ""] | int,
+        samples: Float[Array, "S 2"],
+        is_taken: Bool[Array, "S"],
+        samples_per_point: Float[Array, ""] | float,
+    ) -> Scalar:
+        """Expected root mean squared error after the samples, under one of the beliefs."""
+        errors = jax.tree.map(lambda leaf: leaf[index], self.errors)
+        return errors.after(matmul(samples, self.maps[index].T), is_taken, samples_per_point)
+
+    def mean_error(
+        self,
+        route: Float[Array, "W 2"],
+        spacing: Float[Array, ""] | float,
+        number: int,
+        samples_per_point: Float[Array, ""] | float = 1.0,
+    ) -> Scalar:
+        """Expected root mean squared error after a route, averaged over the beliefs."""
+        sampled = samples_along(route, spacing, number)
+        indices = jnp.arange(self.maps.shape[0], dtype=jnp.int32)
+        return jnp.mean(jax.lax.map(lambda index: self.error(index, *sampled, samples_per_point), indices))
+
+
+class Limits(eqx.Module):
+    """Limits of a route, as penalties.
+
+    Attributes:
+        distance: Signed distance to the border of the area, m, negative outside; None without a border.
+        clearance: Distance that the route keeps from the border, m.
+        turning_radius: Least radius of its turns, m; 0 for any.
+    """
+
+    distance: PyTree
+    clearance: Float[Array, ""]
+    turning_radius: Float[Array, ""]
+
+    def penalty(self, route: Float[Array, "W 2"], step: Float[Array, ""], number: int) -> Scalar:
+        """Penalty of the points at every `step` metres of a route; 0 if it keeps all limits there."""
+        points = points_at(route, step * jnp.arange(number + 1, dtype=route.dtype))
+        total = jnp.zeros((), route.dtype)
+        if self.distance is not None:
+            lacking = jnp.maximum(self.clearance - self.distance(points), 0.0)
+            total = total + jnp.sum(lacking**2) / step**2
+        bend = jnp.sum((points[2:] - 2.0 * points[1:-1] + points[:-2]) ** 2, axis=-1) / step**4
+        excess = jnp.maximum(bend * self.turning_radius**2 - 1.0, 0.0)
+        return total + jnp.mean(excess)
+
+
+@eqx.filter_jit
+def descend(
+    first: Float[Array, "R W 2"],
+    ends: Ends,
+    budget: Float[Array, ""],
+    models: Models,
+    limits: Limits,
+    spacing: Float[Array, ""],
+    number: int,
+    samples_per_point: Float[Array, ""] | float,
+    num_steps: int,
+    rate: Float[Array, ""],
+) -> Float[Array, "R W 2"]:
+    """Routes of small expected error, by Adam from first guesses.
+
+    Step t descends the error under belief t mod Q: a step costs as much as under one belief, and the average
+    over them is minimised as the rate goes to zero.
+
+    Args:
+        first: First guesses.
+        ends: Fixed ends.
+        budget: Maximum length, m.
+        models: Plausible beliefs.
+        limits: Limits of the routes.
+        spacing: Distance of two samples of the optimisation, m.
+        number: Number of samples that the budget allows.
+        samples_per_point: Number of measurements that each of them stands for.
+        num_steps: Number of steps of Adam.
+        rate: Its first rate, m, which decays to zero along a cosine.
+    """
+    num_models = models.maps.shape[0]
+
+    def rate_at(step: Any) -> Any:
+        return rate * optax.cosine_decay_schedule(1.0, num_steps)(step)
+
+    adam = optax.adam(rate_at)
+
+    def loss(points: Float[Array, "W 2"], step: Int[Array, ""]) -> Scalar:
+        route = within_budget(points, ends, budget)
+        error = models.error(step % num_models, *samples_along(route, spacing, number), samples_per_point)
+        # Waypoints beyond the budget are drawn in; the second penalty keeps them from running away.
+        excess = jnp.maximum(path_length(ends.fixed(points)) / budget - 1.0, 0.0)
+        scale = models.errors.variance.mean() ** 0.5
+        # Half the sampling distance, so that no corner of a forbidden zone lies between two points.
+        allowed = limits.penalty(route, spacing / 2.0, 2 * number)
+        return error + scale * (allowed + excess**2)
+
+    def descended(points: Float[Array, "W 2"]) -> Float[Array, "W 2"]:
+        def step(number, carry):
+            points, state = carry
+            gradient = jax.grad(loss)(points, number)
+            with jax.numpy_dtype_promotion("standard"):  # optax multiplies numbers of two widths
+                updates, state = adam.update(gradient, state)
+            return points + jnp.asarray(updates), state
+
+        points, _ = jax.lax.fori_loop(0, num_steps, step, (points, adam.init(points)))
+        return within_budget(points, ends, budget)
+
+    return jax.vmap(descended)(first)

@@ -1,0 +1,117 @@
+"""Routes keep their budget, their ends and the area, and are no worse than the guesses given."""
+
+import jax
+import jax.monitoring
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.surveys.area import Area
+from bojax.surveys.descent import Ends, within_budget
+from bojax.surveys.guesses import length_of, parallel_lines, with_waypoints
+from bojax.surveys.information import expected_error
+from bojax.surveys.route import RouteOptions, plan_route, stays_inside
+
+QUICK = RouteOptions(waypoints=16, restarts=5, steps=80, models=2)
+SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
+HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
+WITH_HOLE = SQUARE.without([(HOLE,)])
+LAWNMOWER = np.array([[0.5, 0.5], [0.5, 5.5], [3.0, 5.5], [3.0, 0.5], [5.5, 0.5]])  # 15 m
+
+
+def belief():
+    kernel = Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0))
+    return GaussianProcess.prior(kernel, 0.01, 0, 2)
+
+
+@pytest.mark.parametrize("start", [None, [1.0, 1.0]])
+@pytest.mark.parametrize("end", [None, [2.0, 5.0]])
+@pytest.mark.parametrize("budget", [4.2, 9.0, 500.0])
+def test_a_route_is_drawn_in_to_its_budget_between_its_ends(start, end, budget):
+    points = np.random.default_rng(1).uniform(0.0, 6.0, (12, 2))
+    ends = Ends(*(None if at is None else jnp.asarray(at) for at in (start, end)))
+    route = np.asarray(within_budget(jnp.asarray(points), ends, jnp.asarray(budget)))
+    assert length_of(route) <= budget
+    assert length_of(route) > 0.5 * min(budget, length_of(points))
+    if start is not None:
+        np.testing.assert_allclose(route[0], start)
+    if end is not None:
+        np.testing.assert_allclose(route[-1], end)
+
+
+def test_more_waypoints_do_not_change_a_polyline():
+    longer = with_waypoints(LAWNMOWER, 20)
+    assert longer.shape == (20, 2)
+    assert length_of(longer) == pytest.approx(15.0)
+    assert all(np.any(np.all(np.isclose(longer, corner), axis=1)) for corner in LAWNMOWER)
+
+
+def test_parallel_lines_keep_the_budget_and_use_it():
+    lines = parallel_lines(SQUARE.grid(0.5), 0.3, 30.0, np.array([1.0, 1.0]), None)
+    assert 20.0 < length_of(lines) <= 30.0
+
+
+def test_an_optimised_route_expects_a_smaller_error_than_the_lawnmower():
+    route = plan_route(belief(), SQUARE, 15.0, LAWNMOWER[0], None, {"lawnmower": LAWNMOWER}, spacing=0.3,
+                       options=QUICK)  # fmt: skip
+    errors = [
+        expected_error(belief(), jnp.asarray(way), jnp.asarray(SQUARE.grid(0.3)), 0.3)[1][-1]
+        for way in (route.waypoints, LAWNMOWER)
+    ]
+    assert "lawnmower" in route.candidates
+    assert route.error == min(route.candidates.values())
+    assert errors[0] < 0.97 * errors[1]
+    assert route.length <= 15.0 * (1.0 + 1e-9)
+
+
+def test_a_better_first_guess_is_chosen_as_it_is():
+    no_steps = RouteOptions(waypoints=16, restarts=1, steps=1, models=2)
+    bad = np.array([[0.5, 0.5], [0.6, 0.6]])
+    guesses = {"bad": bad, "lawnmower": LAWNMOWER}
+    route = plan_route(belief(), SQUARE, 15.0, None, None, guesses, spacing=0.3, options=no_steps)
+    assert route.chosen in ("lawnmower", "optimised from lawnmower")
+    assert length_of(route.waypoints) == pytest.approx(15.0)
+
+
+def test_a_route_goes_round_a_hole_and_reaches_its_end():
+    route = plan_route(belief(), WITH_HOLE, 16.0, [0.5, 3.0], [5.5, 3.0], spacing=0.3, options=QUICK)
+    np.testing.assert_allclose(route.waypoints[[0, -1]], [[0.5, 3.0], [5.5, 3.0]])
+    assert stays_inside(route.waypoints, WITH_HOLE)
+    assert not stays_inside(np.array([[0.5, 3.0], [5.5, 3.0]]), WITH_HOLE)
+    assert route.length <= 16.0 * (1.0 + 1e-9)
+
+
+def test_another_budget_compiles_nothing():
+    plan_route(belief(), SQUARE, 15.0, [1.0, 1.0], spacing=0.3, options=QUICK)
+    compiled = []
+
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        plan_route(belief(), SQUARE, 11.0, [3.0, 2.0], spacing=0.3, options=QUICK, key=jax.random.key(1))
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert compiled == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"budget": 0.0}, "budget: got 0; allowed: > 0 m"),
+        ({"budget": float("nan")}, "budget: got nan"),
+        ({"spacing": 20.0}, "spacing: got 20; allowed: at most the budget, 10 m"),
+        ({"start": [3.0, 3.0]}, r"start: \(3, 3\) lies outside the area, or in a hole of it"),
+        ({"end": [9.0, 1.0]}, r"end: \(9, 1\) lies outside the area"),
+        ({"start": [0.0, 0.0], "end": [6.0, 6.0], "budget": 8.0}, "allowed: at least 8.48528, from start"),
+        ({"weight": lambda points: np.zeros(len(points))}, "weight: allowed: numbers >= 0"),
+    ],
+)
+def test_bad_input_is_one_line(change, message):
+    given = {"budget": 10.0, "spacing": 0.3, "options": QUICK} | change
+    with pytest.raises(ValueError, match=message):
+        plan_route(belief(), WITH_HOLE, **given)
