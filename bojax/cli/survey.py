@@ -56,11 +56,16 @@ def main(name: str, words: Sequence[str]) -> int:
                 model = assumed_model(place.size, args.lengthscale)
             else:
                 model = learned_model(args.prior, place, args.lengthscale)
-            for note in place.notes:
-                print(f"note: {note}")
             survey = plan_survey(place.area, model, Demand(budget, start, end, args.spacing, args.sampling))
         except ValueError as error:
             raise UsageError(one_line(error)) from error
+        if survey.share < 1.0 - 1e-6:
+            part = "the largest part" if start is None and end is None else "the part with the given points"
+            place = place.noted(
+                f"The area is not connected: {part}, {100 * survey.share:.3g}% of it, is surveyed."
+            )
+        for note in place.notes:
+            print(f"note: {note}")
         command = shlex.join(["bojax", name, *words])
         files = write_survey(out, place, model, survey, budget, args.speed, command)
 

@@ -31,7 +31,7 @@ def build_survey_page(folder: Path) -> Path:
             "route": _draw_route(survey, maps).encoded(),
             "error": _draw_errors(survey).encoded(),
         }
-    style.write_images(folder / style.FIGURES, {name: plate.files for name, plate in plates.items()})
+    style.write_images(folder, {name: plate.files for name, plate in plates.items()})
     page = fill(
         "survey.html.j2",
         title=f"Survey of {survey['area']}",
@@ -98,7 +98,9 @@ def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Dr
     cells.set_clim(0.0, float(maps["before"].max()))
     cells.set_rasterized(True)
     axes.add_collection(cells)
-    axes.add_patch(PathPatch(_outline(maps, scale), fill=False, edgecolor=style.INK, linewidth=0.8))
+    border = PathPatch(_outline(maps, scale), fill=False, edgecolor=style.INK, linewidth=0.8)
+    axes.add_patch(border)
+    cells.set_clip_path(border)
     route = np.asarray(chosen["waypoints"]) / scale
     axes.plot(*route.T, color=style.BLUE, linewidth=1.1)
     axes.plot(*route[0], marker="o", color=style.BLUE, markersize=5)

@@ -58,6 +58,10 @@ class Place:
             )
         return point
 
+    def noted(self, note: str) -> "Place":
+        """The place with one more note."""
+        return replace(self, notes=(*self.notes, note))
+
     @property
     def size(self) -> float:
         """Its area, m^2."""
@@ -89,10 +93,9 @@ class Place:
         left = shapely_module().difference(shape, zones)
         if left.area <= 1e-9 * shape.area:
             raise ValueError(f"{file}: its no-go zones leave nothing of the area")
-        notes = self.notes
-        if left.area >= (1.0 - 1e-12) * shape.area:
-            notes = (*notes, f"{file}: no part of it is in the area.")
-        return replace(self, area=to_area(left), notes=notes)
+        reduced = replace(self, area=to_area(left))
+        is_apart = left.area >= (1.0 - 1e-12) * shape.area
+        return reduced.noted(f"{file}: no part of it is in the area.") if is_apart else reduced
 
 
 def read_place(area: str, below: float | None = None) -> Place:
@@ -106,6 +109,8 @@ def read_place(area: str, below: float | None = None) -> Place:
         ValueError: The file cannot be read, or has no area. The message is one line.
     """
     if size := _SIZE.fullmatch(area):
+        if below is not None:
+            raise ValueError(f"{area}: has no values; allowed with --below: a raster")
         width, height = (_metres(size[i], size[i + 1] or size[4] or "m", area) for i in (1, 3))
         return Place(
             area, Area.rectangle(0.0, 0.0, width, height), Projection.of(None, (0, 0, width, height))
@@ -118,7 +123,7 @@ def read_place(area: str, below: float | None = None) -> Place:
     try:
         if suffix in polygons.SUFFIXES:
             if below is not None:
-                raise ValueError("polygons have no values; allowed with --below: a raster")
+                raise ValueError("has no values; allowed with --below: a raster")
             read = polygons.read_polygons(area)
             shape, crs = read.shape, read.crs
         else:

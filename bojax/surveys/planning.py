@@ -20,6 +20,7 @@ from bojax.surveys.lawnmower import (
     route_length,
 )
 from bojax.surveys.model import FieldModel
+from bojax.surveys.shapes import to_shape
 
 GRID_POINTS = 1500
 """Number of points at which the error counts."""
@@ -94,6 +95,7 @@ class Survey:
         after: The same after the first candidate.
         sampling: Distance between two measurements, m.
         lines: Distance between two lines, m, if there is no budget.
+        share: Share of the area that is surveyed: the part with the start, or else the largest part.
     """
 
     candidates: tuple[Candidate, ...]
@@ -103,6 +105,7 @@ class Survey:
     after: np.ndarray
     sampling: float
     lines: float | None
+    share: float
 
     @property
     def chosen(self) -> Candidate:
@@ -172,6 +175,7 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, more: Routes | No
         np.sqrt(np.maximum(variances[order[0]], 0.0)),
         sampling,
         lines,
+        ground.size / to_shape(area).area,
     )
 
 

@@ -1,0 +1,137 @@
+"""`bojax survey`: from a file to waypoints and a page, and mistakes in one line."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+shapely = pytest.importorskip("shapely")
+pytest.importorskip("pyproj")
+pytest.importorskip("rasterio")
+
+from bojax.cli.main import main  # noqa: E402
+from tests.fields.test_raster_files import write_tif  # noqa: E402
+from tests.surveys.test_place import HOLE, OUTER, geojson  # noqa: E402
+
+
+def with_hole() -> np.ndarray:
+    values = np.add.outer(np.sin(np.arange(40) / 5.0), np.cos(np.arange(50) / 7.0))
+    values[10:20, 10:30] = np.nan
+    return values
+
+
+def write_ascii(path) -> str:
+    rows = [" ".join(map(str, np.where(np.isnan(row), -9999.0, row))) for row in with_hole()]
+    header = "ncols 50\nnrows 40\nxllcorner 0\nyllcorner 0\ncellsize 2\nNODATA_value -9999\n"
+    path.write_text(header + "\n".join(rows))
+    return str(path)
+
+
+def rows_of(folder) -> dict[str, np.ndarray]:
+    with (folder / "waypoints.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def route_in(folder) -> np.ndarray:
+    rows = rows_of(folder)
+    return np.stack([rows["x"], rows["y"]], axis=1)
+
+
+def test_a_geojson_with_a_hole(tmp_path, capsys):
+    (tmp_path / "bay.geojson").write_text(geojson(OUTER, HOLE))
+    out = tmp_path / "out"
+    words = ["--time", "1h", "--speed", "1.5", "--start", "10.001,54.001", "--end", "10.019,54.009"]
+    assert main(["survey", str(tmp_path / "bay.geojson"), *words, "--out", str(out)]) == 0
+    assert "The best of" in capsys.readouterr().out
+    rows = rows_of(out)
+    assert rows["distance"][-1] <= 5400.0 + 1e-3
+    np.testing.assert_allclose([rows["longitude"][0], rows["latitude"][0]], [10.001, 54.001], atol=1e-6)
+    np.testing.assert_allclose([rows["longitude"][-1], rows["latitude"][-1]], [10.019, 54.009], atol=1e-6)
+    line = shapely.from_geojson((out / "waypoints.geojson").read_text())
+    assert shapely.covers(shapely.Polygon(OUTER, [HOLE]).buffer(1e-6), line)
+    plan = json.loads((out / "waypoints.plan").read_text())
+    places = [item["params"][4:6] for item in plan["mission"]["items"]]
+    np.testing.assert_allclose(places, np.stack([rows["latitude"], rows["longitude"]], axis=1), atol=1e-7)
+    assert (
+        "<svg" in (out / "report.html").read_text() or "data:image/svg" in (out / "report.html").read_text()
+    )
+    assert (out / "figures" / "route.png").is_file()
+
+
+def test_the_least_expected_error_is_proposed_and_curves_fall(tmp_path):
+    out = tmp_path / "out"
+    assert main(["survey", "400x300", "--budget", "1km", "--start", "5,5", "--out", str(out)]) == 0
+    candidates = json.loads((out / "survey.json").read_text())["candidates"]
+    assert candidates[0]["errors"][-1] == min(each["errors"][-1] for each in candidates)
+    for each in candidates:
+        assert np.all(np.diff(each["errors"]) <= 1e-12)
+        assert each["errors"][0] == pytest.approx(1.0)
+        assert each["length"] <= 1000.0 + 1e-6
+    assert not (out / "waypoints.plan").exists()  # no place on the Earth
+    assert json.loads((out / "waypoints.geojson").read_text())["crs"] is None
+
+
+def test_a_geotiff_with_holes_and_an_earlier_survey(tmp_path):
+    file, out = write_tif(tmp_path / "bay.tif", with_hole()), tmp_path / "out"
+    assert main(["survey", file, "--prior", file, "--budget", "1500", "--out", str(out)]) == 0
+    survey = json.loads((out / "survey.json").read_text())
+    assert "learned from 200 values of bay.tif" in survey["settings"]["model"]
+    assert rows_of(out)["distance"][-1] <= 1500.0 + 1e-3
+
+
+def test_an_ascii_raster_is_covered(tmp_path):
+    out = tmp_path / "out"
+    assert main(["survey", write_ascii(tmp_path / "a.asc"), "--spacing", "10", "--out", str(out)]) == 0
+    survey = json.loads((out / "survey.json").read_text())
+    assert survey["candidates"][0]["length"] == min(each["length"] for each in survey["candidates"])
+    line = shapely.LineString(route_in(out))
+    rows, columns = np.nonzero(~np.isnan(with_hole()[::-1]))
+    cells = np.stack([1.0 + 2.0 * columns, 1.0 + 2.0 * rows], axis=1)
+    assert shapely.distance(line, shapely.points(cells)).max() < 10.0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["100x100", "--budget", "far"],
+            "--budget: got far; allowed: metres, or a length such as 2km or 800m",
+        ),
+        (["100x100", "--time", "1h"], "--time: needs --speed, in m/s"),
+        (["100x100", "--time", "1h", "--speed", "1", "--budget", "5"], "--time: not with --budget"),
+        (
+            ["100x100", "--time", "1 week", "--speed", "1"],
+            "--time: got 1 week; allowed: a duration such as 40min",
+        ),
+        (["100x100", "--start", "5"], "--start: got 5; allowed: two numbers"),
+        (["100x100", "--start", "500,5"], "--start: got 500,5, which is not in the area"),
+        (
+            ["100x100", "--start", "1,5", "--end", "99,5", "--budget", "50"],
+            "budget: got 50 m, but the shortest way",
+        ),
+        (["100x100", "--below", "0"], "100x100: has no values; allowed with --below: a raster"),
+        (["no.tif"], "no.tif: No such file or directory"),
+        (["100x100", "--prior", "no.csv"], "no.csv: No such file or directory"),
+        (["100x100", "--avoid", "no.kml"], "no.kml: No such file or directory"),
+    ],
+)
+def test_mistakes_are_one_line_and_write_nothing(tmp_path, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["survey", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {message}") and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "flat.csv").write_text("x,y,z\n" + "\n".join(f"{i},{i % 7},3" for i in range(30)))
+    (tmp_path / "few.csv").write_text("x,y,z\n1,2,3\n")
+    for file, message in (
+        ("flat.csv", "all values are 3"),
+        ("few.csv", "got 1 values; allowed: at least 10"),
+    ):
+        assert main(["survey", "100x100", "--prior", file]) == 2
+        assert f"error: {file}: {message}" in capsys.readouterr().err
