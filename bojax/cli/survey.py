@@ -10,7 +10,7 @@ from bojax.cli.parser import Parser, UsageError, path
 from bojax.text import one_line
 
 _EXAMPLES = """\
-  bojax survey bay.geojson --budget 2km                     lawnmowers in 8 directions, and the best of them
+  bojax survey bay.geojson --budget 2km                     an optimised route, or the best lawnmower
   bojax survey depth.tif --below 0 --time 40min --speed 0.8 --start 10.21,54.37
   bojax survey 500x300 --spacing 20 --end 0,0               cover a rectangle with lines 20 m apart
   bojax survey bay.kml --avoid farm.kml --prior last_year.csv --budget 5km --out results/bay
@@ -56,7 +56,8 @@ def main(name: str, words: Sequence[str]) -> int:
                 model = assumed_model(place.size, args.lengthscale)
             else:
                 model = learned_model(args.prior, place, args.lengthscale)
-            survey = plan_survey(place.area, model, Demand(budget, start, end, args.spacing, args.sampling))
+            demand = Demand(budget, start, end, args.spacing, args.sampling)
+            survey = plan_survey(place.area, model, demand, optimises=not args.lawnmower)
         except ValueError as error:
             raise UsageError(one_line(error)) from error
         if survey.share < 1.0 - 1e-6:
@@ -91,7 +92,7 @@ def _parser(name: str) -> Parser:
         name,
         "AREA [--budget LENGTH | --time TIME --speed M/S] [--start X,Y] [--end X,Y]\n"
         "                    [--avoid FILE]... [--below V] [--prior FILE] [--lengthscale M] [--spacing M]\n"
-        "                    [--sampling M] [--out DIR]",
+        "                    [--sampling M] [--lawnmower] [--out DIR]",
         _DESCRIPTION,
         _EXAMPLES,
     )
@@ -116,6 +117,7 @@ def _parser(name: str) -> Parser:
     parser.option("--spacing", "M", lines, _positive)
     sampling = "distance between two measurements, m (default: a fifth of the lengthscale)"
     parser.option("--sampling", "M", sampling, _positive)
+    parser.flag("--lawnmower", "compare lawnmowers only, and optimise no route")
     parser.option("--out", "DIR", "new or empty folder (default: results/survey/TIME)", path)
     return parser
 

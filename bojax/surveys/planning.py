@@ -1,7 +1,7 @@
 """Choosing the route of a survey: candidates, and the error that the model expects after each."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.area import Area
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import (
@@ -20,6 +21,7 @@ from bojax.surveys.lawnmower import (
     route_length,
 )
 from bojax.surveys.model import FieldModel
+from bojax.surveys.route import RouteOptions, plan_route
 from bojax.surveys.shapes import to_shape
 
 GRID_POINTS = 1500
@@ -27,6 +29,12 @@ GRID_POINTS = 1500
 
 MOST_SAMPLES = 600
 """Number of samples of the longest candidate; each stands for several measurements if there are more."""
+
+NUM_GUESSES = 4
+"""Number of lawnmowers that the optimiser begins with, beside its own first guesses."""
+
+MOST_WAYPOINTS = 128
+"""Largest number of waypoints of an optimised route."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,18 +126,17 @@ class Survey:
         return next(each for each in self.candidates if each.method == "lawnmower")
 
 
-Routes = Callable[[PointErrors, Sequence[np.ndarray]], Sequence[tuple[str, np.ndarray]]]
-"""Further candidates, each with a detail, from the belief and the lawnmowers."""
-
-
-def plan_survey(area: Area, model: FieldModel, demand: Demand, more: Routes | None = None) -> Survey:
+def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool = True) -> Survey:
     """The candidate after which the model expects the least error, with all others.
+
+    Candidates are lawnmowers in all directions and, with a budget, the route that `plan_route` finds from
+    the best of them.
 
     Args:
         area: The area; of several parts, the one with the start or else the largest is surveyed.
         model: The model of the field.
         demand: Budget and ends.
-        more: Planner of further routes.
+        optimises: Whether to look for a better route than the lawnmowers.
 
     Raises:
         ValueError: The ends cannot be reached within the budget, or are not in the area.
@@ -139,44 +146,77 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, more: Routes | No
     if demand.budget is not None:
         check_budget(ground, demand.budget, demand.start, demand.end)
     routes, lines = _lawnmowers(ground, model, demand)
-    part = Area(tuple(np.array(ring) for ring in ground.rings))
+    part = Area(tuple(ground.rings))
     spacing = math.sqrt(ground.size / GRID_POINTS)
-    grid = part.grid(spacing)
-    errors = PointErrors.of(model.belief(), jnp.asarray(grid))
-    if more is not None:
-        found = more(errors, [route for _, route in routes])
-        named = [("lawnmower", *each) for each in routes] + [("route", *each) for each in found]
-    else:
-        named = [("lawnmower", *each) for each in routes]
-    longest = max(route_length(route) for _, _, route in named)
+    belief, grid = model.belief(), part.grid(spacing)
+    longest = max(route_length(route) for _, route in routes)
     sampling = demand.sampling or model.lengthscale / 5.0
-    number = int(min(MOST_SAMPLES, max(1, longest // sampling)))
-    step = max(sampling, longest / number)
-    candidates = []
-    variances = []
-    for method, detail, route in named:
-        samples, is_taken = _samples(route, step, number)
-        curve, variance = _outcome(errors, jnp.asarray(samples), jnp.asarray(is_taken), step / sampling)
-        taken = int(is_taken.sum())
-        distances = step * np.arange(taken + 1)
-        candidates.append(Candidate(method, detail, route, distances, np.asarray(curve)[: taken + 1]))
-        variances.append(np.asarray(variance))
+    outcomes = _Outcomes(PointErrors.of(belief, jnp.asarray(grid)), sampling, demand.budget or longest)
+    found = [outcomes.of("lawnmower", detail, route) for detail, route in routes]
     # Without a budget every candidate covers the area: the shortest one is the best.
-    by_length = demand.budget is None
-    order = sorted(
-        range(len(candidates)),
-        key=lambda i: (candidates[i].length if by_length else candidates[i].error, candidates[i].error),
-    )
+    found.sort(key=lambda each: each[0].length if demand.budget is None else each[0].error)
+    if optimises and demand.budget is not None:
+        guesses = [candidate for candidate, _ in found[:NUM_GUESSES]]
+        if route := _optimised(belief, part, demand, guesses, min(sampling, demand.budget)):
+            found.append(outcomes.of("route", *route))
+            found.sort(key=lambda each: each[0].error)
     return Survey(
-        tuple(candidates[index] for index in order),
-        grid,
-        spacing,
-        np.sqrt(np.asarray(errors.variance)),
-        np.sqrt(np.maximum(variances[order[0]], 0.0)),
-        sampling,
-        lines,
-        ground.size / to_shape(area).area,
+        candidates=tuple(candidate for candidate, _ in found),
+        grid=grid,
+        grid_spacing=spacing,
+        before=np.sqrt(np.asarray(outcomes.errors.variance)),
+        after=np.sqrt(np.maximum(found[0][1], 0.0)),
+        sampling=sampling,
+        lines=lines,
+        share=ground.size / to_shape(area).area,
     )
+
+
+def _optimised(
+    belief: GaussianProcess, area: Area, demand: Demand, guesses: Sequence[Candidate], sampling: float
+) -> tuple[str, np.ndarray] | None:
+    """The route that `plan_route` finds, with its origin; None if it prefers one of the guesses."""
+    assert demand.budget is not None
+    corners = max(len(guess.waypoints) for guess in guesses)
+    # Multiples of 16, since each number of waypoints compiles a program of its own.
+    options = RouteOptions(waypoints=int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS)))
+    route = plan_route(
+        belief,
+        area,
+        demand.budget,
+        demand.start,
+        demand.end,
+        {guess.name: guess.waypoints for guess in guesses},
+        spacing=sampling,
+        options=options,
+    )
+    return None if any(route.chosen == guess.name for guess in guesses) else (route.chosen, route.waypoints)
+
+
+class _Outcomes:
+    """What the model expects after routes, by one compiled program.
+
+    Attributes:
+        errors: The belief before.
+    """
+
+    def __init__(self, errors: PointErrors, sampling: float, longest: float):
+        """Prepare routes of at most `longest` metres with a measurement at every `sampling` metres."""
+        self.errors = errors
+        self._number = int(min(MOST_SAMPLES, max(1, longest * (1.0 + 1e-9) // sampling)))
+        self._step = max(sampling, longest / self._number)
+        self._per_sample = self._step / sampling
+
+    def of(self, method: str, detail: str, route: np.ndarray) -> tuple[Candidate, np.ndarray]:
+        """A route as a candidate, and the variances at the grid after it."""
+        samples, is_taken = _samples(route, self._step, self._number)
+        curve, variance = _outcome(
+            self.errors, jnp.asarray(samples), jnp.asarray(is_taken), jnp.asarray(self._per_sample)
+        )
+        taken = int(is_taken.sum())
+        distances = self._step * np.arange(taken + 1)
+        candidate = Candidate(method, detail, route, distances, np.asarray(curve)[: taken + 1])
+        return candidate, np.asarray(variance)
 
 
 def _lawnmowers(
@@ -210,7 +250,7 @@ def _samples(route: np.ndarray, step: float, number: int) -> tuple[np.ndarray, n
 
 @eqx.filter_jit
 def _outcome(
-    errors: PointErrors, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: float
+    errors: PointErrors, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: Array
 ) -> tuple[Float[Array, "T"], Float[Array, "M"]]:
     """Mean deviation after each number of samples, 0 first, and the variances after all."""
     explained = jnp.cumsum(errors.explained(samples, is_taken, samples_per_point), axis=0)
