@@ -13,6 +13,8 @@ _HOMES = {
     "run": "start",
     "sweep": "start",
     "tune": "start",
+    "survey": "surveying",
+    "SurveyResult": "surveying",
     "minimise": "optimiser",
     "maximise": "optimiser",
     "Optimiser": "optimiser",

@@ -15,5 +15,7 @@ from bojax.api.results import load as load
 from bojax.api.start import run as run
 from bojax.api.start import sweep as sweep
 from bojax.api.start import tune as tune
+from bojax.api.surveying import SurveyResult as SurveyResult
+from bojax.api.surveying import survey as survey
 
 __version__: str

@@ -1,0 +1,117 @@
+"""`bojax.survey`: plan the route of a survey from Python."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.csv
+from typing_extensions import override
+
+from bojax.api.command import run_in_child
+from bojax.api.errors import BojaxError, in_one_line
+from bojax.api.given import path_of
+from bojax.api.start import Folder
+from bojax.report.surveying import SURVEY, survey_summary
+from bojax.results.folder import dated_folder, require_empty
+from bojax.results.store import read_json
+
+
+@dataclass(frozen=True)
+class SurveyResult:
+    """A planned survey.
+
+    Attributes:
+        folder: Its folder, with the waypoints, the figures and `report.html`.
+    """
+
+    folder: Path
+
+    @cached_property
+    def _plan(self) -> dict[str, Any]:
+        return read_json(self.folder / SURVEY)
+
+    @cached_property
+    def _table(self) -> pyarrow.Table:
+        return pyarrow.csv.read_csv(self.folder / "waypoints.csv")
+
+    @property
+    def waypoints(self) -> np.ndarray:
+        """The proposed route, `[W, 2]` in metres."""
+        return np.array(self.candidates[0]["waypoints"])
+
+    @property
+    def degrees(self) -> np.ndarray | None:
+        """Its longitudes and latitudes, `[W, 2]`; None for an area without a place on the Earth."""
+        if "longitude" not in self._table.column_names:
+            return None
+        columns = [self._table[name].to_numpy() for name in ("longitude", "latitude")]
+        return np.stack(columns, axis=1)
+
+    @property
+    def candidates(self) -> list[dict[str, Any]]:
+        """All routes that were compared, the proposed one first.
+
+        Each has `name`, `method`, `length`, `waypoints`, and the expected `errors` after `distances`.
+        """
+        return self._plan["candidates"]
+
+    @override
+    def __str__(self) -> str:
+        return survey_summary(self.folder)
+
+
+def survey(
+    area: str | Path | tuple[float, float],
+    *,
+    budget: float | str | None = None,
+    time: str | None = None,
+    speed: float | None = None,
+    start: Sequence[float] | None = None,
+    end: Sequence[float] | None = None,
+    avoid: Sequence[str | Path] = (),
+    below: float | None = None,
+    prior: str | Path | None = None,
+    lengthscale: float | None = None,
+    spacing: float | None = None,
+    sampling: float | None = None,
+    lawnmower: bool = False,
+    out: Folder | None = None,
+) -> SurveyResult:
+    """Plan the route of a survey, as `bojax survey`, in a process of its own.
+
+    Args:
+        area: File of polygons or of a raster, or the width and height of a rectangle, m.
+        budget: Maximum length of the route, m, or text such as `"2km"`; without it, the area is covered.
+        time: Maximum duration instead, such as `"40min"`; needs `speed`.
+        speed: Speed of the robot, m/s.
+        start: First point, in the coordinates of `area`.
+        end: Last point.
+        avoid: Files of no-go zones.
+        below: Of a raster, only cells with values below this number are surveyed.
+        prior: File of an earlier survey of the field, from which the model is learned.
+        lengthscale: Distance over which values are alike, m; learned or assumed by default.
+        spacing: Least distance between two lines of a lawnmower, m.
+        sampling: Distance between two measurements, m.
+        lawnmower: Whether to compare lawnmowers only.
+        out: New or empty folder; `results/survey/TIME` by default.
+
+    Raises:
+        BojaxError: The input is wrong; the message is one line.
+    """
+    name = "x".join(f"{side:g}" for side in area) if isinstance(area, tuple) else path_of(area, "area")
+    with in_one_line():
+        folder = dated_folder("survey") if out is None else Path(path_of(out, "out"))
+        require_empty(folder)
+    options = {"budget": budget, "time": time, "speed": speed, "below": below, "prior": prior}
+    options |= {"lengthscale": lengthscale, "spacing": spacing, "sampling": sampling, "out": folder}
+    for option, point in (("start", start), ("end", end)):
+        options[option] = None if point is None else ",".join(repr(float(value)) for value in point)
+    words = [f"--{option}={value}" for option, value in options.items() if value is not None]
+    words += [f"--avoid={file}" for file in avoid] + (["--lawnmower"] if lawnmower else [])
+    ended = run_in_child(["survey", name, *words], None)
+    if ended.code != 0:
+        raise BojaxError(ended.error, "\n".join(ended.lines))
+    return SurveyResult(folder)
