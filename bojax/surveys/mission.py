@@ -1,0 +1,329 @@
+"""A survey that goes on: plan the rest, drive a part of it, tell what was measured, plan again."""
+
+import dataclasses
+import json
+import os
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bojax.models.evidence import LogPrior, log_normal_prior, relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.surveys.area import Area
+from bojax.surveys.guesses import Waypoints, length_of
+from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points
+
+LEAST_CAPACITY = 64
+"""Measurements that the first belief has room for; each further one, compiled anew, has twice as many."""
+
+FAR = 1.0  # sizes of the area beyond its bounds at which a position is taken for an error
+LEAST_DATA = 10  # measurements before hyper-parameters are learned
+SPREAD = 1.0  # of the log-normal prior of the hyper-parameters
+RELEARNING = 2**31  # first of the numbers that are folded into the keys of relearning; plans have small ones
+NOTHING: Waypoints = np.zeros((0, 2))
+
+
+class Mission:
+    """A survey of an area with a budget of distance, for a robot or for a person who drives.
+
+    The belief is a Gaussian process of the standardised values with a Matern 5/2 kernel. Numbers are in
+    float64, whatever the settings of JAX. Once its programs are compiled, a plan compiles nothing until the
+    measurements outgrow the capacity, which doubles then.
+
+    Attributes:
+        area: Area to survey.
+        position: Where the robot is, m.
+        remaining: Distance left, m.
+        counts: How often input was left out, by reason: `not_finite`, `far_off` (a position), `duplicate`,
+            `bad_pose`; and `time_backwards`, for measurements that are kept.
+        hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
+        route: The last plan.
+    """
+
+    def __init__(
+        self,
+        area: Area,
+        budget: float,
+        start: Any,
+        end: Any = None,
+        *,
+        spacing: float,
+        lengthscale: float | None = None,
+        noise_variance: float = 0.01,
+        relearn_every: int | None = None,
+        options: RouteOptions | None = None,
+        seed: int = 0,
+    ):
+        """Prepare a mission.
+
+        Args:
+            area: Area to survey, m.
+            budget: Distance that may be driven, m.
+            start: First position, m.
+            end: Last position, m; anywhere by default.
+            spacing: Distance between two measurements, m.
+            lengthscale: Lengthscale of the field before it is learned, m; a sixth of the area by default.
+            noise_variance: Variance of the noise before it is learned, as a share of the values' variance.
+            relearn_every: Number of measurements after which the hyper-parameters are learned anew; None for
+                on request only.
+            options: Options of the optimiser of routes.
+            seed: Seed of the tours and of the search for hyper-parameters.
+
+        Raises:
+            ValueError: A number is not positive, or the start is not a position.
+        """
+        x_min, y_min, x_max, y_max = area.bounds
+        self._size = max(x_max - x_min, y_max - y_min)
+        lengthscale = self._size / 6.0 if lengthscale is None else lengthscale
+        numbers = {
+            "budget": budget,
+            "spacing": spacing,
+            "lengthscale": lengthscale,
+            "noise_variance": noise_variance,
+            "relearn_every": 1 if relearn_every is None else relearn_every,
+        }
+        for name, value in numbers.items():
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: got {value}; allowed: > 0")
+        self.area, self.remaining, self.position = area, float(budget), _position("start", start)
+        self.end = None if end is None else _position("end", end)
+        self.spacing, self.relearn_every, self.seed = float(spacing), relearn_every, seed
+        self.options = RouteOptions() if options is None else options
+        self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
+        self._medians = self.hyperparameters
+        self._log_prior: LogPrior | None = None
+        self.counts: Counter[str] = Counter()
+        self.route: Route | None = None
+        self._x, self._y, self._time = NOTHING, np.zeros(0), -np.inf
+        self._shift, self._scale = 0.0, 1.0
+        self._learned_at, self._plans = 0, 0
+
+    @property
+    def num_measurements(self) -> int:
+        """Measurements in the belief."""
+        return len(self._y)
+
+    def plan(self) -> Waypoints:
+        """The next waypoints `[W, 2]`, m, to the end of the budget; none if the budget is used.
+
+        If the budget does not allow more than the way to the fixed end, this is the plan. From a position
+        outside the area, the route leads to the nearest point inside first.
+        """
+        entry = self._entry()
+        to_entry = float(np.linalg.norm(entry - self.position))
+        left = self.remaining - to_entry
+        to_end = 0.0 if self.end is None else float(np.linalg.norm(self.end - entry))
+        if left <= max(self.spacing, to_end):
+            return NOTHING if self.end is None else self.end[None]
+        earlier = {} if self.route is None else {"earlier plan": self._rest(self.route.waypoints, entry)}
+        self._plans += 1
+        with jax.enable_x64(True):
+            key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
+            self.route = plan_route(
+                self.posterior(), self.area, left, entry, self.end, earlier, key,
+                spacing=self.spacing, options=self.options,
+            )  # fmt: skip
+        route = self.route.waypoints
+        return route if to_entry > 0.0 else route[1:]
+
+    def observe(self, points: Any, values: Any, pose: Any = None, times: Any = None) -> int:
+        """Take measurements into the belief, and move the robot.
+
+        The distance driven, along the measured points to the pose, is taken from the budget. What cannot be
+        used is left out and counted in `counts`.
+
+        Args:
+            points: Positions of any number of measurements, in the order of driving, `[S, 2]`, m.
+            values: Measured values `[S]`; NaN for no data.
+            pose: Position of the robot (further numbers, as a heading, are ignored); by default, the last
+                measurement.
+            times: Times of the measurements, only to count those that run backwards.
+
+        Returns:
+            Number of measurements taken.
+
+        Raises:
+            ValueError: There are not as many values, or times, as points.
+        """
+        points = np.asarray(points, float).reshape(-1, 2)
+        values = np.asarray(values, float).reshape(-1)
+        if len(points) != len(values):
+            raise ValueError(f"values: got {len(values)}; allowed: {len(points)}, one for each point")
+        if times is not None:
+            times = np.asarray(times, float).reshape(-1)
+            if len(times) != len(points):
+                raise ValueError(f"times: got {len(times)}; allowed: {len(points)}, one for each point")
+            self.counts["time_backwards"] += int(np.sum(np.diff(np.append(self._time, times)) < 0.0))
+            self._time = max(self._time, *times.tolist()) if len(times) else self._time
+        is_far = ~self._is_near(points)
+        is_finite = np.isfinite(values) & np.isfinite(points).all(axis=1)
+        self._move(points[~is_far], pose)
+        rows = np.column_stack([points, values])
+        held = {tuple(row) for row in np.column_stack([self._x, self._y])}
+        is_taken = np.zeros(len(rows), bool)
+        for index, row in enumerate(rows):
+            reason = (
+                "not_finite" if not is_finite[index]
+                else "far_off" if is_far[index]
+                else "duplicate" if tuple(row) in held
+                else ""
+            )  # fmt: skip
+            if reason:
+                self.counts[reason] += 1
+                continue
+            held.add(tuple(row))
+            is_taken[index] = True
+        self._x = np.concatenate([self._x, points[is_taken]])
+        self._y = np.concatenate([self._y, values[is_taken]])
+        every = self.relearn_every
+        if every is not None and self.num_measurements - self._learned_at >= max(every, LEAST_DATA):
+            self.relearn()
+        return int(np.sum(is_taken))
+
+    def relearn(self) -> None:
+        """Standardise the values, and learn the hyper-parameters from them by their evidence.
+
+        Each has a log-normal prior about its first value, and the lengthscale stays between the spacing and
+        twice the size of the area. With fewer than `LEAST_DATA` measurements, nothing changes.
+        """
+        if self.num_measurements < LEAST_DATA:
+            return
+        self._learned_at = self.num_measurements
+        self._shift, scale = float(np.mean(self._y)), float(np.std(self._y))
+        self._scale = scale if scale > 0.0 else 1.0
+        with jax.enable_x64(True):
+            key = jax.random.fold_in(jax.random.key(self.seed), RELEARNING + self.num_measurements)
+            if self._log_prior is None:  # one function for the whole mission: another one compiles anew
+                self._log_prior = log_normal_prior(*_model(self._medians), SPREAD)
+            gp, _ = relearn(self.posterior(), key, log_prior=self._log_prior, num_starts=2)
+            kernel: Any = gp.kernel
+            found = kernel.kernel.lengthscale, kernel.variance, gp.noise_variance
+        lengthscale, variance, noise = map(float, found)
+        lengthscale = float(np.clip(lengthscale, self.spacing, 2.0 * self._size))
+        self.hyperparameters = (lengthscale, variance, noise)
+
+    def posterior(self) -> GaussianProcess:
+        """The belief about the standardised values, with room for a power of two of them."""
+        capacity = LEAST_CAPACITY
+        while capacity < self.num_measurements:
+            capacity *= 2
+        with jax.enable_x64(True):
+            x, y = np.zeros((capacity, 2)), np.zeros(capacity)
+            x[: self.num_measurements] = self._x
+            y[: self.num_measurements] = (self._y - self._shift) / self._scale
+            count = jnp.asarray(self.num_measurements, jnp.int32)
+            return GaussianProcess.fit(*_model(self.hyperparameters), x, y, count=count)
+
+    def predict(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values."""
+        with jax.enable_x64(True):
+            mean, variance = self.posterior().predict(np.asarray(points, float))
+            deviation = np.sqrt(np.asarray(variance))
+        return self._shift + self._scale * np.asarray(mean), self._scale * deviation
+
+    def save(self, path: str | Path) -> None:
+        """Write the mission to a file, which is replaced at once or not at all."""
+        path = Path(path)
+        plain = {name: getattr(self, name) for name in _PLAIN}
+        plain["counts"], plain["options"] = dict(self.counts), dataclasses.asdict(self.options)
+        plain["rings"] = [len(zone) for zone in (self.area.outline, *self.area.avoid)]
+        rings = [ring for zone in (self.area.outline, *self.area.avoid) for ring in zone]
+        arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
+        arrays |= {"x": self._x, "y": self._y, "position": self.position}
+        arrays |= {"end": NOTHING if self.end is None else self.end}
+        arrays |= {"route": NOTHING if self.route is None else self.route.waypoints}
+        partial = path.with_name(path.name + ".partial")
+        with partial.open("wb") as file:
+            np.savez(file, plain=np.asarray(json.dumps(plain)), **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Mission":
+        """The mission in a file that `save` wrote.
+
+        Raises:
+            ValueError: The file is not one.
+            FileNotFoundError: There is no such file.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                data = {name: file[name] for name in file.files}
+            plain = json.loads(str(data["plain"]))
+            options = plain.pop("options")
+            options["stretch"] = tuple(options["stretch"])
+            rings = iter([data[f"ring_{index}"] for index in range(sum(plain["rings"]))])
+            zones = [tuple(next(rings) for _ in range(number)) for number in plain.pop("rings")]
+            end = data["end"] if data["end"].size else None
+            area = Area(zones[0], tuple(zones[1:]))
+            mission = cls(area, 1.0, data["position"], end, spacing=1.0, options=RouteOptions(**options))
+            mission.counts = Counter(plain.pop("counts"))
+            mission._x, mission._y = data["x"], data["y"]
+            for name in _PLAIN:
+                setattr(mission, name, plain[name])
+            mission.hyperparameters = tuple(plain["hyperparameters"])
+            mission._medians = tuple(plain["_medians"])
+            if len(data["route"]):
+                mission.route = Route(data["route"], length_of(data["route"]), np.nan, "earlier plan", {})
+        except FileNotFoundError:
+            raise
+        except Exception as error:
+            raise ValueError(f"{path}: not a saved mission, or damaged") from error
+        return mission
+
+    def _is_near(self, points: Waypoints) -> np.ndarray:
+        """Whether points are finite and within `FAR` sizes of the bounds."""
+        x_min, y_min, x_max, y_max = self.area.bounds
+        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+        beyond = np.maximum(low - points, points - high)
+        return np.all(beyond <= FAR * self._size, axis=-1)  # False for NaN
+
+    def _move(self, points: Waypoints, pose: Any) -> None:
+        """Go along the points to the pose, and take the length from the budget."""
+        way = [self.position, *points]
+        if pose is not None:
+            pose = np.asarray(pose, float).reshape(-1)[:2]
+            if len(pose) == 2 and self._is_near(pose[None])[0]:
+                way.append(pose)
+            else:
+                self.counts["bad_pose"] += 1
+        self.remaining = max(self.remaining - length_of(np.array(way)), 0.0)
+        self.position = np.array(way[-1])
+
+    def _entry(self) -> Waypoints:
+        """The position, or the nearest of the grid's points if it lies outside the area."""
+        if self.area.distances(self.position[None])[0] >= 0.0:
+            return self.position
+        points = spread_points(self.area, 1200)
+        return points[np.argmin(np.linalg.norm(points - self.position, axis=1))]
+
+    def _rest(self, route: Waypoints, entry: Waypoints) -> Waypoints:
+        """The part of a route that lies ahead: its waypoints after the one nearest to the robot."""
+        nearest = int(np.argmin(np.linalg.norm(route - entry, axis=1)))
+        return np.concatenate([entry[None], route[min(nearest + 1, len(route) - 1) :]])
+
+
+_PLAIN = (
+    "remaining", "spacing", "relearn_every", "seed", "hyperparameters", "_medians", "_time", "_shift",
+    "_scale", "_learned_at", "_plans",
+)  # fmt: skip
+"""Attributes of a mission that are saved as JSON."""
+
+
+def _model(hyperparameters: tuple[float, float, float]) -> tuple[Scaled, jax.Array]:
+    """Kernel and noise variance."""
+    lengthscale, variance, noise = (jnp.asarray(value, jnp.float64) for value in hyperparameters)
+    return Scaled(Matern52(lengthscale), variance), noise
+
+
+def _position(name: str, at: Any) -> Waypoints:
+    point = np.asarray(at, float).reshape(-1)[:2]
+    if point.shape != (2,) or not np.isfinite(point).all():
+        raise ValueError(f"{name}: got {at}; allowed: x and y in metres")
+    return point

@@ -1,0 +1,152 @@
+"""A mission goes on: what is observed enters the belief, the budget holds, and a killed process resumes."""
+
+import subprocess
+import sys
+import textwrap
+
+import jax.monitoring
+import numpy as np
+import pytest
+
+from bojax.surveys.area import Area
+from bojax.surveys.guesses import length_of
+from bojax.surveys.mission import Mission
+from bojax.surveys.route import RouteOptions, fitted
+
+QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
+SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
+
+
+def mission(**changes):
+    given = {"area": SQUARE, "budget": 12.0, "start": [1.0, 1.0], "spacing": 0.3, "options": QUICK}
+    return Mission(**(given | changes))
+
+
+def field(points):
+    return 100.0 + 20.0 * np.sin(points[:, 0]) * np.cos(0.7 * points[:, 1])
+
+
+def drive(survey, waypoints, distance):
+    """Follow waypoints for a distance, measuring on the way."""
+    way = fitted(np.concatenate([survey.position[None], waypoints]), distance, None, None)
+    ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+    at = np.arange(survey.spacing, ends[-1] + 1e-9, survey.spacing)
+    points = np.stack([np.interp(at, ends, way[:, axis]) for axis in (0, 1)], axis=-1)
+    survey.observe(points, field(points), way[-1])
+
+
+def test_the_whole_budget_is_driven_and_the_field_is_learned():
+    survey = mission(end=[5.0, 5.0], relearn_every=10)
+    error_before = np.std(field(SQUARE.grid(0.5)))
+    driven = 0.0
+    for _ in range(6):
+        waypoints = survey.plan()
+        before = survey.position.copy()
+        drive(survey, waypoints, 3.0)
+        driven += float(np.linalg.norm(survey.position - before))
+    assert driven <= 12.0
+    np.testing.assert_allclose(survey.position, [5.0, 5.0], atol=0.35)
+    mean, deviation = survey.predict(SQUARE.grid(0.5))
+    assert np.sqrt(np.mean((mean - field(SQUARE.grid(0.5))) ** 2)) < 0.7 * error_before
+    assert np.all(deviation > 0.0)
+    assert survey.num_measurements > 30
+
+
+def test_a_second_plan_compiles_nothing():
+    survey = mission()
+    for _ in range(2):
+        drive(survey, survey.plan(), 2.0)
+    compiled = []
+
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        drive(survey, survey.plan(), 2.0)
+        survey.plan()
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert compiled == []
+
+
+def test_what_cannot_be_used_is_counted():
+    survey = mission()
+    points = [[1, 1], [1.1, 1], [1.2, 1], [1.2, 1], [900, 1], [np.nan, 1], [1.3, 1]]
+    values = [1.0, np.nan, 3.0, 3.0, 5.0, 6.0, 7.0]
+    assert survey.observe(points, values, [1e9, 0.0, 0.0], times=[0, 1, 2, 3, 2, 5, 6]) == 3
+    assert survey.counts == {
+        "not_finite": 2,
+        "duplicate": 1,
+        "far_off": 1,
+        "bad_pose": 1,
+        "time_backwards": 1,
+    }
+    np.testing.assert_allclose(survey.position, [1.3, 1.0])
+    assert survey.remaining == pytest.approx(12.0 - 0.3)
+
+
+def test_the_belief_outgrows_its_capacity():
+    survey = mission()
+    points = np.random.default_rng(0).uniform(0.0, 6.0, (150, 2))
+    survey.observe(points, field(points), [1.0, 1.0])
+    assert survey.posterior().y.shape == (256,)
+    assert int(survey.posterior().count) == 150
+
+
+def test_a_used_budget_ends_the_mission():
+    survey = mission(budget=1.0, end=[1.5, 1.0])
+    survey.observe([[1.9, 1.0]], [1.0])
+    np.testing.assert_allclose(survey.plan(), [[1.5, 1.0]])
+    survey = mission(budget=1.0)
+    survey.observe([[1.9, 1.0]], [1.0])
+    assert survey.plan().shape == (0, 2)
+
+
+def test_a_robot_outside_the_area_comes_back():
+    survey = mission()
+    survey.observe([], [], [-1.0, 3.0])
+    waypoints = survey.plan()
+    assert SQUARE.contains(waypoints).all()
+    assert length_of(np.concatenate([survey.position[None], waypoints])) <= survey.remaining * (1 + 1e-9)
+
+
+def test_a_process_that_is_killed_between_two_steps_goes_on(tmp_path):
+    file = tmp_path / "mission.npz"
+    survey = mission(end=[5.0, 5.0])
+    drive(survey, survey.plan(), 3.0)
+    survey.save(file)
+    killed = f"""
+        import os, signal
+        from bojax.surveys.mission import Mission
+        survey = Mission.load({str(file)!r})
+        survey.observe([[2.0, 2.0]], [1.0])
+        os.kill(os.getpid(), signal.SIGKILL)
+    """
+    assert subprocess.run([sys.executable, "-c", textwrap.dedent(killed)]).returncode == -9
+    resumed = Mission.load(file)
+    np.testing.assert_array_equal(resumed.plan(), survey.plan())
+    assert resumed.remaining == survey.remaining
+    assert resumed.num_measurements == survey.num_measurements
+
+
+def test_a_damaged_file_is_one_line(tmp_path):
+    file = tmp_path / "mission.npz"
+    mission().save(file)
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"mission.npz: not a saved mission, or damaged"):
+        Mission.load(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"budget": -1.0}, "budget: got -1.0; allowed: > 0"),
+        ({"spacing": 0.0}, "spacing: got 0.0; allowed: > 0"),
+        ({"start": [np.nan, 0.0]}, "start: got .*; allowed: x and y in metres"),
+    ],
+)
+def test_bad_input_is_one_line(change, message):
+    with pytest.raises(ValueError, match=message):
+        mission(**change)
