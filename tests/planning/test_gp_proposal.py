@@ -101,7 +101,7 @@ def posterior(actions, totals, root_totals, points, space):
     return cross @ solve[:, 0], 1.0 - np.einsum("ij,ji->i", cross, solve[:, 1:])
 
 
-VDP = build(kinds("state-problem")["vdp-tag"]())
+VDP = build(kinds("problem")["vdp-tag"]())
 
 
 @pytest.mark.parametrize("problem, name", [(drift(), "ucb"), (VDP, "ei")], ids=["box", "angle and level"])
