@@ -10,7 +10,7 @@ from bojax.models.kernels import Kernel, Matern52
 from bojax.optimisation.space import Axis, Choice, Range
 
 
-class MixedMatern52(Kernel):
+def mixed_matern52(lengthscale: Float[Array, "A"], axes: tuple[Axis, ...]) -> Kernel:
     """A Matern 5/2 kernel of the values of numbers, integers and choices, with a lengthscale for each axis.
 
     Positions are rounded inside the kernel, so that the covariance is constant where the value is, and the
@@ -18,11 +18,14 @@ class MixedMatern52(Kernel):
     categorical and integer-valued variables in Bayesian optimization with Gaussian processes",
     Neurocomputing 380, 2020). Two choices are as far apart as the two ends of a range.
 
-    Attributes:
+    Args:
         lengthscale: In units of half a range, one for each axis.
         axes: The axes, whose boxes positions fill in [-1, 1].
     """
+    return _MixedMatern52(lengthscale, axes)
 
+
+class _MixedMatern52(Kernel):
     lengthscale: Float[Array, "A"]
     axes: tuple[Axis, ...] = eqx.field(static=True)
 

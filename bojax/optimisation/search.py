@@ -15,7 +15,7 @@ from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
 from bojax.acquisition.functions import LogExpectedImprovement, UpperConfidenceBound
 from bojax.engine.devices import on_cpu
 from bojax.numerics.quasirandom import shifted_kronecker
-from bojax.optimisation.kernel import MixedMatern52
+from bojax.optimisation.kernel import mixed_matern52
 from bojax.optimisation.space import Axis
 
 Values = tuple[Any, ...]
@@ -84,7 +84,7 @@ class Search:
             boxes = [each.box for each in axes for _ in range(each.width)]
             low, high = np.asarray(boxes, np.float64).T
             self._learner = BayesianOptimisation(
-                kernel=MixedMatern52(jnp.full(len(self._axes), LENGTHSCALE, jnp.float64), self._axes),
+                kernel=mixed_matern52(jnp.full(len(self._axes), LENGTHSCALE, jnp.float64), self._axes),
                 low=jnp.asarray(low),
                 high=jnp.asarray(high),
                 capacity=capacity + batch,

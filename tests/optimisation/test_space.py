@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.optimisation.kernel import MixedMatern52
+from bojax.optimisation.kernel import mixed_matern52
 from bojax.optimisation.space import Choice, Range, SpaceError, read_space
 
 SPACE = {"rate": (1e-5, 1e5, "log"), "depth": (1, 8), "size": (1, 1000, "log"), "kind": ["a", 2, None]}
@@ -64,7 +64,7 @@ def test_a_position_stands_for_one_value(axis):
 
 def test_the_kernel_sees_the_values_alone():
     axes = read_space(SPACE)
-    kernel = MixedMatern52(jnp.asarray([0.5, 0.7, 0.9, 1.1]), axes)
+    kernel = mixed_matern52(jnp.asarray([0.5, 0.7, 0.9, 1.1]), axes)
     random = np.random.default_rng(1)
     boxes = np.asarray([axis.box for axis in axes for _ in range(axis.width)])
     ends = np.cumsum([axis.width for axis in axes])[:-1]
