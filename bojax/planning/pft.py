@@ -17,6 +17,9 @@ from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles, systematic
 from bojax.problems.state_space import StateProblem
 
+ENTROPY_FLOOR = 1e-6
+"""Variance added to each component of a state where an entropy is taken."""
+
 
 class ParticleSet(eqx.Module):
     """A belief of a few states of equal weight.
@@ -61,8 +64,11 @@ class BeliefStep(eqx.Module):
         belief: ParticleSet,
         state: Float[Array, "D"],
         action: Float[Array, "K"],
-    ) -> tuple[ParticleSet, Float[Array, ""], Bool[Array, ""]]:
-        """The next belief, its reward, and whether it is terminal; the observation is drawn from `state`."""
+    ) -> tuple[ParticleSet, Float[Array, ""], Bool[Array, ""], Float[Array, ""]]:
+        """The next belief, its reward, whether it is terminal, and its entropy before it was resampled.
+
+        The observation is drawn from `state`.
+        """
         key_state, key_observation, key_move, key_resample, key_prior = jax.random.split(key, 5)
         next_state, _, ended = problem.step(key_state, state, action)
         observation = problem.observe(key_observation, state, action, next_state)
@@ -92,12 +98,14 @@ class BeliefStep(eqx.Module):
             states = jnp.where(collapsed, prior, moved[indices])
             alive = collapsed | (belief.alive & ~terminated)[indices]
             reward = jnp.where(collapsed, 0.0, weighted_mean(log_weights, rewards))
-            return ParticleSet(states, alive), reward, ~jnp.any(alive)
+            return ParticleSet(states, alive), reward, ~jnp.any(alive), entropy(log_weights, moved)
 
         left = belief.alive & ~terminated
         reward = weighted_mean(_or_equal(log_weights, belief.alive), rewards)
-        indices = resample(key_resample, _or_equal(jnp.where(left, log_weights, -jnp.inf), left))
-        return ParticleSet(moved[indices], left[indices]), reward, ended | ~jnp.any(left)
+        weighted = _or_equal(jnp.where(left, log_weights, -jnp.inf), left)
+        indices = resample(key_resample, weighted)
+        after = ParticleSet(moved[indices], left[indices])
+        return after, reward, ended | ~jnp.any(left), entropy(weighted, moved)
 
 
 def belief_step_named(name: str | BeliefStep) -> BeliefStep:
@@ -122,6 +130,18 @@ def weighted_mean(log_weights: Float[Array, "M"], values: Float[Array, "M"]) -> 
     return total / jnp.maximum(jnp.sum(weights), 1.0)
 
 
+def entropy(log_weights: Float[Array, "M"], states: Float[Array, "M D"]) -> Float[Array, ""]:
+    """Entropy of a Gaussian with the covariance of weighted states, in nats, up to a constant.
+
+    `ENTROPY_FLOOR` is added to each variance: components that are known have no density.
+    """
+    weights = _weights(log_weights)
+    share = weights / jnp.maximum(jnp.sum(weights), 1.0)
+    offsets = states - (share @ states)[None]
+    floor = ENTROPY_FLOOR * jnp.eye(states.shape[1], dtype=states.dtype)
+    return 0.5 * jnp.linalg.slogdet((offsets * share[:, None]).T @ offsets + floor)[1]
+
+
 def _weights(log_weights: Float[Array, "M"]) -> Float[Array, "M"]:
     """Weights of which the largest is 1; zeros if there is none."""
     largest = jnp.max(log_weights)
@@ -140,9 +160,13 @@ class PFT(BeliefSearch):
     An action without a visit scores its initial value, 0, while its node has at most one visit, and infinity
     afterwards, as in the published program (MCTS.jl).
 
+    With `information`, a step that does not end the episode is rewarded for the entropy that it takes from
+    the belief, times this factor (a rho-POMDP: Araya-Lopez et al., NeurIPS 2010). Leaf values are without.
+
     Attributes:
         num_particles: Particles of a belief node.
         belief_step: The belief MDP.
+        information: Reward of a nat of entropy; None for none.
     """
 
     exploration: Float[Array, ""]
@@ -158,6 +182,7 @@ class PFT(BeliefSearch):
     max_actions: int = eqx.field(static=True)
     max_branches: int = eqx.field(static=True)
     num_particles: int = eqx.field(static=True)
+    information: Float[Array, ""] | None = None
 
     @override
     def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> ParticleSet:
@@ -199,7 +224,10 @@ class PFT(BeliefSearch):
         # At the root, the state is drawn from the full belief, not from the few particles of the tree.
         drawn = belief.states[draw_alive(key_state, belief.alive)]
         state = jnp.where(node == ROOT, state, drawn)
-        after, reward, is_terminal = self.belief_step(key_step, problem, belief, state, action)
+        after, reward, is_terminal, later = self.belief_step(key_step, problem, belief, state, action)
+        if self.information is not None:
+            gained = entropy(belief.weighted().log_weights, belief.states) - later
+            reward = reward + self.information * jnp.where(is_terminal, 0.0, gained)
         return Expansion(after, reward, is_terminal, after.states, after.alive)
 
     @override
@@ -237,7 +265,7 @@ class BeliefRollout(LeafValue):
             key_action, key_state, key_step = jax.random.split(jax.random.fold_in(key, step), 3)
             action = self.policy(problem, key_action, belief.weighted())
             state = belief.states[draw_alive(key_state, belief.alive)]
-            belief, reward, ended = self.belief_step(key_step, problem, belief, state, action)
+            belief, reward, ended, _ = self.belief_step(key_step, problem, belief, state, action)
             total = total + jnp.where(active, weight * reward, 0.0)
             active = active & ~ended & (step + 1 < remaining)
             return step + 1, belief, active, weight * problem.discount, total

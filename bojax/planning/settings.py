@@ -342,6 +342,9 @@ class PFTDPW(_BeliefSearch, frozen=True):
     )
     num_particles: int = Field(default=20, ge=1, description="particles of a belief of the tree")
     belief_step: _BeliefStep = "observed"
+    information: float | None = Field(
+        default=None, ge=0, description="reward of each nat of entropy taken from the belief; null for none"
+    )
 
 
 class _WeightedAsSimulated(_BeliefSearch, frozen=True):
