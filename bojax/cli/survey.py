@@ -5,6 +5,7 @@ import math
 import re
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from bojax.cli.parser import Parser, UsageError, path
 from bojax.text import one_line
@@ -34,6 +35,11 @@ def main(name: str, words: Sequence[str]) -> int:
 
     out = args.out or dated_folder("survey")
     require_empty(out)
+    return plan(args, budget, out, shlex.join(["bojax", name, *words]))
+
+
+def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str) -> int:
+    """Plan the survey that the arguments ask for, write its files, and return the exit code."""
     from bojax.engine.devices import prepare
     from bojax.engine.signals import kept
 
@@ -67,7 +73,6 @@ def main(name: str, words: Sequence[str]) -> int:
             )
         for note in place.notes:
             print(f"note: {note}")
-        command = shlex.join(["bojax", name, *words])
         files = write_survey(out, place, model, survey, budget, args.speed, command)
 
     from bojax.report.surveying import build_survey_page, survey_summary

@@ -95,7 +95,7 @@ def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Dr
         edgecolors="face",
         linewidths=0.2,
     )
-    cells.set_clim(0.0, float(maps["before"].max()))
+    cells.set_clim(0.0, float(maps["after"].max()))
     cells.set_rasterized(True)
     axes.add_collection(cells)
     border = PathPatch(_outline(maps, scale), fill=False, edgecolor=style.INK, linewidth=0.8)

@@ -69,6 +69,7 @@ def understand(words, monkeypatch, capsys, folder):
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, **_: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
     monkeypatch.setattr("bojax.cli.tuning.search", lambda *_: 0)
+    monkeypatch.setattr("bojax.cli.survey.plan", lambda *_: 0)
     monkeypatch.setattr("bojax.claims.reproduction.joined_reproduction", lambda *_: [])
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
     for word in words:
