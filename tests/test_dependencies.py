@@ -24,7 +24,7 @@ DISTRIBUTIONS |= dict(importlib.metadata.packages_distributions())
 """By the name of a module, the distributions that bring it; those of extras need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
-PINNED = ("ray", "gym", "tensorboard", "wandb", "mlflow", "test")
+PINNED = ("geo", "ray", "gym", "tensorboard", "wandb", "mlflow", "test")
 """Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
 
 
@@ -35,7 +35,9 @@ def names_of(requirements) -> set[str]:
 def imports_of(tree: ast.AST, is_optional: bool = False) -> Iterator[tuple[str, bool]]:
     """Top-level names of the modules that a file imports, and whether it can be imported without them."""
     for node in ast.iter_child_nodes(tree):
-        optional = is_optional or isinstance(node, ast.Try | ast.FunctionDef | ast.AsyncFunctionDef)
+        is_for_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        is_guarded = isinstance(node, ast.Try | ast.FunctionDef | ast.AsyncFunctionDef)
+        optional = is_optional or is_for_types or is_guarded
         if isinstance(node, ast.Import):
             yield from ((alias.name.partition(".")[0], optional) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:

@@ -33,7 +33,7 @@ def here(tmp_path, monkeypatch):
 MISTAKES = """\
 swep
 => unknown command swep; allowed: bench, best, compare, doctor, export, list, render, report, reproduce, run,
-   status, sweep, tune, worker; did you mean "sweep"?
+   status, survey, sweep, tune, worker; did you mean "sweep"?
 --runs
 => unknown option --runs; allowed: bench
 run parking --rnus 3
