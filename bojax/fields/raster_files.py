@@ -38,6 +38,8 @@ def read_raster(file: str, most: int | None = None) -> Raster:
     suffix = Path(path).suffix.lower()
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
         raise ValueError(f"{file}: is not a regular file")
+    if suffix not in SUFFIXES:
+        raise ValueError(f"{file}: the name has to end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     try:
         if suffix in _WITH_RASTERIO:
             return _read_with_rasterio(path, variable, most)

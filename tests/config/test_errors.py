@@ -110,7 +110,7 @@ planner: {kind: sbo, motions: kernel}
 {problem: {kind: monitoring, field: {kind: grid, file: no.npy, extent: [0, 0, 1, 1]}}, planner: sbo}
 => x.yaml: problem.field: got {…; no.npy: No such file or directory
 {problem: {kind: monitoring, field: {kind: grid, file: x.yaml, extent: [0, 0, 1, 1]}}, planner: sbo}
-=> x.yaml: problem.field: got {…; x.yaml: the name has to end in .npy or .csv
+=> x.yaml: problem.field: got {…; x.yaml: the name has to end in .npy, .csv, …
 {problem: {kind: monitoring, field: {kind: grid, file: good.csv, extent: [0, 1, 1, 0]}}, planner: sbo}
 => x.yaml: problem.field.extent: got [0, 1, 1, 0]; allowed: [x_min, y_min, x_max, y_max] with …
 {problem: {kind: monitoring, field: {kind: grid, file: nan.csv, extent: [0, 0, 1, 1]}}, planner: sbo}
