@@ -20,6 +20,8 @@ _HOMES = {
     "Optimiser": "optimiser",
     "ObjectiveError": "optimiser",
     "OptimisationResult": "optimisation",
+    "Area": "mission",
+    "Mission": "mission",
     "part": "parts",
     "load": "results",
     "plot_gp": "plots",

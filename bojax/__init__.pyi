@@ -1,5 +1,7 @@
 from bojax.api.errors import BojaxError as BojaxError
 from bojax.api.errors import Interrupted as Interrupted
+from bojax.api.mission import Area as Area
+from bojax.api.mission import Mission as Mission
 from bojax.api.optimisation import OptimisationResult as OptimisationResult
 from bojax.api.optimiser import ObjectiveError as ObjectiveError
 from bojax.api.optimiser import Optimiser as Optimiser

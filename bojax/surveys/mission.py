@@ -21,6 +21,8 @@ from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points
 LEAST_CAPACITY = 64
 """Measurements that the first belief has room for; each further one, compiled anew, has twice as many."""
 
+OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
+
 FAR = 1.0  # sizes of the area beyond its bounds at which a position is taken for an error
 LEAST_DATA = 10  # measurements before hyper-parameters are learned
 SPREAD = 1.0  # of the log-normal prior of the hyper-parameters
@@ -71,7 +73,8 @@ class Mission:
             noise_variance: Variance of the noise before it is learned, as a share of the values' variance.
             relearn_every: Number of measurements after which the hyper-parameters are learned anew; None for
                 on request only.
-            options: Options of the optimiser of routes.
+            options: Options of the optimiser of routes; by default `OPTIONS`, with less work than those of a
+                single plan.
             seed: Seed of the tours and of the search for hyper-parameters.
 
         Raises:
@@ -93,7 +96,7 @@ class Mission:
         self.area, self.remaining, self.position = area, float(budget), _position("start", start)
         self.end = None if end is None else _position("end", end)
         self.spacing, self.relearn_every, self.seed = float(spacing), relearn_every, seed
-        self.options = RouteOptions() if options is None else options
+        self.options = OPTIONS if options is None else options
         self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
         self._medians = self.hyperparameters
         self._log_prior: LogPrior | None = None
