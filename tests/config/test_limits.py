@@ -49,6 +49,8 @@ def test_integers_of_all_schemas_have_a_limit(tmp_path, monkeypatch, write):
             part = reduce(getattr, path[:-1], experiment)
             if (part.kind, path[-1]) in settings or isinstance(getattr(part, path[-1]), tuple):
                 continue
+            if path[-1] == "relearn_every" and part.noise_variance == 0.0:
+                continue  # refused whatever the number is: relearning needs noise
             settings.add((part.kind, path[-1]))
             tree = experiment.model_dump(mode="json")
             reduce(dict.__getitem__, path[:-1], tree)[path[-1]] = 10**10

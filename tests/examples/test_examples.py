@@ -41,10 +41,13 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
         of["steps to the goal"][0] < 150 and of["reward of the last one"][0] == 1.0
     ),
     "linear_models.py": lambda of: np.allclose(of["one by one"], of["batch"], rtol=1e-5),
+    "minimise.py": lambda of: of["best"][-1] < 0.01 and Path("minimise.png").stat().st_size > 10_000,
     "my_robot_env.py": lambda of: len(of["episodes to the pocket"]) >= 2,
     "my_field.py": lambda of: max(of["RMSE"]) < 0.4,
     "my_robot.py": lambda of: of["samples"] == [100.0] and 0.5 < of["field at the peak"][0] < 1.2,
     "plot_a_gp.py": lambda _: Path("gp.png").stat().st_size > 10_000,
+    "survey_robot.py": lambda of: of[""][-1] < 0.3,  # mean deviation of the depth, m
+    "survey_ros2.py": lambda of: of[""][0] >= 2.0,  # plans
     "sweep_in_python.py": lambda of: len(of["steps to the goal"]) == 2 and of["success of the best"][0] > 0.9,
     "train_emu_q.py": lambda of: (
         max(of["episodes to the goal"]) <= 5 and of["steps of what run 0 has learned"][0] < 300
