@@ -1,7 +1,7 @@
 """The routes and maps of bench_survey.py, run in a process with its own cores.
 
-Two fields that Matplotlib ships, on 10 x 10 units and standardised: a window of a digital elevation model, and
-one of a bathymetry. A sample every 0.2 along a route, with noise of standard deviation 0.05. One Gaussian
+Two fields that Matplotlib ships, on 10 x 10 units and standardised: a window of a digital elevation model,
+and one of a bathymetry. A sample every 0.2 along a route, with noise of standard deviation 0.05. One Gaussian
 process, whose hyper-parameters were fitted to points beside the first window, maps what every route measures.
 The routes of SGP-Tools 2.0.7 (ContinuousSGP) and of the lawnmower are stored in `data/survey_peers.json`.
 """
@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,12 +38,17 @@ Field = Callable[[np.ndarray], np.ndarray]
 
 def fields() -> dict[str, Field]:
     """Standardised heights at points `[N, 2]`."""
-    heights = matplotlib.cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"].astype(float)
-    depths = matplotlib.cbook.get_sample_data("topobathy.npz")["topo"].astype(float)[:30, :30]
+    heights = _shipped("jacksboro_fault_dem.npz", "elevation")
+    depths = _shipped("topobathy.npz", "topo")[:30, :30]
     return {
         "elevation": _field((heights[120:228, 150:284][::-1] - MEAN) / DEVIATION),
         "bathymetry": _field((depths - depths.mean()) / depths.std()),
     }
+
+
+def _shipped(file: str, name: str) -> np.ndarray:
+    archive: Any = matplotlib.cbook.get_sample_data(file)
+    return archive[name].astype(float)
 
 
 def _field(values: np.ndarray) -> Field:
