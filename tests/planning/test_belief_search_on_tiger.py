@@ -14,6 +14,7 @@ from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles
 from bojax.problems.pomdp.tiger import Tiger
 from tests.planning.belief_searches import number, planner
+from tests.tiers import by_tier
 
 ACCURACY, DISCOUNT, VALUE = 0.85, 0.95, 19.371368
 LISTEN = 0
@@ -95,18 +96,22 @@ def test_value_iteration_has_the_published_value():
     assert np.interp(0.5, grid, values) == pytest.approx(VALUE, abs=1e-3)
 
 
-@pytest.mark.parametrize("net_hearings, opened", [(0, 0), (1, 0), (-1, 0), (2, 1), (-2, 2)])
-def test_pft_listens_until_it_has_heard_the_tiger_twice(net_hearings, opened):
+OPENED = {0: 0, 1: 0, -1: 0, 2: 1, -2: 2}
+"""The optimal action by the number of net hearings."""
+
+
+@pytest.mark.parametrize("net_hearings", by_tier(OPENED, normal=[0, 2]))
+def test_pft_listens_until_it_has_heard_the_tiger_twice(net_hearings):
     grid, values = optimal()
     forest = trees("pft", net_hearings, OptimalValue(jnp.asarray(grid), jnp.asarray(values)))
     chosen = root_values(forest).argmax(axis=1)
-    assert np.sum(chosen == opened) == NUM_LANES
+    assert np.sum(chosen == OPENED[net_hearings]) == NUM_LANES
     if net_hearings == 0:
         found = np.array([value_of_listening(forest, lane) for lane in range(NUM_LANES)])
         assert abs(found.mean() - VALUE) < 3 * found.std(ddof=1) / np.sqrt(NUM_LANES)
 
 
-@pytest.mark.parametrize("net_hearings", [0, 1])
+@pytest.mark.parametrize("net_hearings", by_tier([0, 1], normal=[1]))
 def test_the_value_of_listening_is_exact_for_two_actions(net_hearings):
     def one_left(right):
         return backed_up(lambda right: VALUE + 0.0 * right, np.asarray(right)).max(axis=0)
@@ -120,7 +125,7 @@ def test_the_value_of_listening_is_exact_for_two_actions(net_hearings):
     assert returns[:, LISTEN].mean() < found.mean()  # the search explores
 
 
-@pytest.mark.parametrize("net_hearings", [0, 1])
+@pytest.mark.parametrize("net_hearings", by_tier([0, 1], normal=[1]))
 def test_branches_of_pomcpow_draw_from_the_posterior(net_hearings):
     # Values are no test of POMCPOW: the action preferred after few visits is one that was lucky.
     forest = trees("pomcpow", net_hearings, Constant())
