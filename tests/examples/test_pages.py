@@ -62,8 +62,8 @@ def understand(words, monkeypatch, capsys, folder):
     # First: these modules import `run`, which they would keep if they were imported after the next patch.
     import bojax.cli.multiverse  # noqa: F401
 
-    for reads_results in ("reporting", "best", "rendering", "doctor", "status", "worker"):
-        monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
+    for runs_elsewhere in ("bench", "reporting", "best", "rendering", "doctor", "status", "worker"):
+        monkeypatch.setattr(f"bojax.cli.{runs_elsewhere}.main", lambda *_: 0)
     for function in ("running.run", "reproducing.run", "multiverse.run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, **_: out)
