@@ -1,14 +1,16 @@
 """Bayesian optimisation of a function of the user's: `minimise`, `maximise`, and step by step."""
 
 import math
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from rich.console import Console
+
 from bojax.api.errors import BojaxError
 from bojax.api.optimisation import Evaluation, OptimisationResult
 from bojax.config.errors import shown
+from bojax.engine.bar import Bar
 from bojax.optimisation.search import Search, Values
 from bojax.optimisation.space import SpaceError, read_space
 from bojax.text import error_line
@@ -21,7 +23,7 @@ Workers = Callable[[Callable[[Mapping[str, Any]], float], Sequence[Mapping[str, 
 
 
 class ObjectiveError(BojaxError):
-    """The function that is optimised raised an error, which is the cause of this one.
+    """The function that is optimised raised an error, the cause of this one, or returned no number.
 
     Attributes:
         result: What was found before.
@@ -192,16 +194,19 @@ def minimise(
             each axis and 2 more, at most 16.
         workers: Evaluates the points of a batch: `map`, or `map` of an executor, which does so in parallel.
         seed: Seed of the proposals.
-        progress: Whether to show the number of evaluations and the best value on a terminal.
+        progress: Whether to show the number of evaluations and the best value.
 
     Returns:
         The best point, its value, and all evaluations. Ctrl-C ends the optimisation early.
 
     Raises:
         ValueError: An argument is wrong.
-        ObjectiveError: The function raised an error; its `result` has what was found before.
+        ObjectiveError: The function raised an error or returned no number; the `result` of this error has
+            what was found before.
     """
-    optimiser = _begun(space, budget, batch, known, maximise=False, noisy=noisy, initial=initial, seed=seed)
+    optimiser = _begun(
+        function, space, budget, batch, known, maximise=False, noisy=noisy, initial=initial, seed=seed
+    )
     return _optimised(optimiser, function, budget, workers, progress)
 
 
@@ -220,11 +225,14 @@ def maximise(
     progress: bool = True,
 ) -> OptimisationResult:
     """Find the greatest value of a function; everything else is as in `bojax.minimise`."""
-    optimiser = _begun(space, budget, batch, known, maximise=True, noisy=noisy, initial=initial, seed=seed)
+    optimiser = _begun(
+        function, space, budget, batch, known, maximise=True, noisy=noisy, initial=initial, seed=seed
+    )
     return _optimised(optimiser, function, budget, workers, progress)
 
 
 def _begun(
+    function: Callable[..., float],
     space: Mapping[str, Any],
     budget: int,
     batch: int,
@@ -232,6 +240,8 @@ def _begun(
     **settings: Any,
 ) -> Optimiser:
     """An optimiser with room for all evaluations, and the known ones."""
+    if not callable(function):
+        raise ValueError(f"function: got {shown(function)}; allowed: a function")
     known = list(known)
     batch, capacity = min(_count("batch", batch), _count("budget", budget)), budget + len(known)
     optimiser = Optimiser(space, batch=batch, capacity=capacity, **settings)
@@ -242,50 +252,46 @@ def _begun(
 def _optimised(
     optimiser: Optimiser, function: Callable[..., float], budget: int, workers: Workers, progress: bool
 ) -> OptimisationResult:
-    if not callable(function):
-        raise ValueError(f"function: got {shown(function)}; allowed: a function")
-    line = _Line(budget, progress)
     done = 0
-    try:
-        while done < budget and (points := optimiser.ask_batch(min(optimiser.batch, budget - done))):
-            try:
-                values = list(workers(partial(_call, function), points))
-            except Exception as error:
-                point = ", ".join(f"{name}={shown(value)}" for name, value in points[0].items())
-                raise ObjectiveError(
-                    f"the function raised {error_line(error)} at {point}"
-                    + (f" or at one of {len(points) - 1} other points" if len(points) > 1 else ""),
-                    optimiser.result(),
-                ) from error
-            optimiser.tell_batch(points, values)
-            done += len(points)
-            line.show(done, optimiser.result())
-    except KeyboardInterrupt:
-        line.end()
-        print(f"stopped after {done} evaluations", file=sys.stderr)
-    else:
-        line.end()
+    with Bar("optimising", budget, Console(stderr=True, quiet=not progress)) as bar:
+        try:
+            while done < budget and (points := optimiser.ask_batch(min(optimiser.batch, budget - done))):
+                _evaluate(optimiser, function, points, workers)
+                done += len(points)
+                value = optimiser.result().value
+                bar.show(done, "no value yet" if value is None else f"best {value:.6g}")
+        except KeyboardInterrupt:
+            bar.say(f"stopped after {done} evaluations")
     return optimiser.result()
+
+
+def _evaluate(
+    optimiser: Optimiser,
+    function: Callable[..., float],
+    points: Sequence[Mapping[str, Any]],
+    workers: Workers,
+) -> None:
+    """Evaluate points and tell their values; also those that are known when an evaluation fails.
+
+    Raises:
+        ObjectiveError: The function raised an error, or returned no number.
+    """
+    values: list[float] = []
+    try:
+        for value in workers(partial(_call, function), points):
+            values.append(_number(value))
+    except Exception as error:
+        failed = points[min(len(values), len(points) - 1)]
+        optimiser.tell_batch(points[: len(values)], values)
+        at = ", ".join(f"{name}={shown(value)}" for name, value in failed.items())
+        raise ObjectiveError(
+            f"the evaluation at {at} failed: {error_line(error)}", optimiser.result()
+        ) from error
+    optimiser.tell_batch(points, values)
 
 
 def _call(function: Callable[..., float], point: Mapping[str, Any]) -> float:
     return function(**point)  # a function of the module, which processes can be sent
-
-
-class _Line:
-    """The number of evaluations and the best value, on one line of a terminal."""
-
-    def __init__(self, budget: int, is_wanted: bool):
-        self._budget, self._is_shown = budget, is_wanted and sys.stderr.isatty()
-
-    def show(self, done: int, found: OptimisationResult) -> None:
-        if self._is_shown:
-            value = "no value yet" if found.value is None else f"best {found.value:.6g}"
-            print(f"\r{done}/{self._budget} evaluations, {value}\033[K", end="", file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        if self._is_shown:
-            print(file=sys.stderr)
 
 
 def _count(name: str, value: Any) -> int:
