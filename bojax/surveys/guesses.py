@@ -2,32 +2,7 @@
 
 import numpy as np
 
-Waypoints = np.ndarray  # [W, 2], m
-
-
-def with_waypoints(route: Waypoints, number: int) -> Waypoints:
-    """The same polyline with `number` waypoints, if it has fewer: its longest pieces are divided.
-
-    A polyline with more is replaced by `number` points at equal distances along it.
-    """
-    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
-    if len(route) > number:
-        ends = np.append(0.0, np.cumsum(lengths))
-        at = np.linspace(0.0, ends[-1], number)
-        return np.stack([np.interp(at, ends, route[:, axis]) for axis in (0, 1)], axis=-1)
-    parts = np.ones(len(lengths), int)
-    for _ in range(number - len(route)):
-        parts[np.argmax(lengths / parts)] += 1
-    pieces = [
-        first + (last - first) * np.arange(count)[:, None] / count
-        for first, last, count in zip(route[:-1], route[1:], parts, strict=True)
-    ]
-    return np.concatenate([*pieces, route[-1:]])
-
-
-def length_of(route: Waypoints) -> float:
-    """Length of a polyline, m."""
-    return float(np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
+from bojax.surveys.polylines import Waypoints, length_of
 
 
 def parallel_lines(

@@ -160,19 +160,25 @@ def expected_error(
     if grid.shape[0] == 0:
         raise ValueError("grid: got no points; allowed: at least one")
     number = int(path_length(waypoints) / spacing * (1.0 + 1e-9))
-    deviations = _deviations(PointErrors.of(posterior, grid, weights), waypoints, spacing, number)
-    return spacing * jnp.arange(number + 1, dtype=dtype), deviations
+    errors, order = PointErrors.of(posterior, grid, weights), jnp.arange(number + 1, dtype=dtype)
+    if number == 0:
+        return order, errors.mean_deviation(errors.variance)[None]
+    deviations, _ = left_by(errors, *samples_along(waypoints, spacing, number))
+    return spacing * order, deviations
 
 
 @eqx.filter_jit
-def _deviations(
-    errors: PointErrors, waypoints: Float[Array, "W 2"], spacing: float, number: int
-) -> Float[Array, "T"]:
-    if number == 0:
-        return errors.mean_deviation(errors.variance)[None]
-    explained = jnp.cumsum(errors.explained(*samples_along(waypoints, spacing, number)), axis=0)
+def left_by(
+    errors: PointErrors,
+    samples: Float[Array, "S 2"],
+    is_taken: Bool[Array, "S"],
+    samples_per_point: Float[Array, ""] | float = 1.0,
+) -> tuple[Float[Array, "T"], Float[Array, "M"]]:
+    """Mean deviation that each number of samples leaves, 0 first, and the variances that all leave."""
+    explained = jnp.cumsum(errors.explained(samples, is_taken, samples_per_point), axis=0)
     before = jnp.zeros((1, explained.shape[1]), explained.dtype)
-    return errors.mean_deviation(errors.variance[None] - jnp.concatenate([before, explained]))
+    variance = errors.variance[None] - jnp.concatenate([before, explained])
+    return errors.mean_deviation(variance), variance[-1]
 
 
 def _piece_lengths(waypoints: Float[Array, "W 2"]) -> Float[Array, "V"]:

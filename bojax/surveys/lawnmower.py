@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from bojax.surveys.area import Area
+from bojax.surveys.polylines import driven_at, length_of
 from bojax.surveys.shapes import polygons_of, rings_of, shapely_module, to_shape
 from bojax.surveys.transfers import Transfers
 
@@ -61,11 +62,6 @@ class Ground:
     def size(self) -> float:
         """The area, m^2."""
         return float(self.shape.area)
-
-
-def route_length(waypoints: np.ndarray) -> float:
-    """Length of a polyline `[W, 2]`, m."""
-    return float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
 
 
 def lawnmower(
@@ -137,7 +133,7 @@ def lawnmowers_within(
         if distance < spacing:
             continue
         route = lawnmower(ground, distance, angle, start, end)
-        if route_length(route) <= budget:
+        if length_of(route) <= budget:
             return [route] if denser is None else [route, _cut(denser, budget, end, ground.transfers)]
         denser = route
     assert denser is not None
@@ -155,7 +151,7 @@ def check_budget(
     if not budget > 0 or not math.isfinite(budget):
         raise ValueError(f"budget: got {budget:g} m; allowed: > 0 m")
     if start is not None and end is not None:
-        shortest = route_length(ground.transfers.path(np.asarray(start, float), np.asarray(end, float)))
+        shortest = length_of(ground.transfers.path(np.asarray(start, float), np.asarray(end, float)))
         if shortest > budget:
             between = f"the shortest way from the start to the end is {shortest:.6g} m long"
             raise ValueError(f"budget: got {budget:.6g} m, but {between}")
@@ -257,8 +253,8 @@ def _joined(legs: list[np.ndarray], transfers: Transfers) -> np.ndarray:
 
 def _cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Transfers) -> np.ndarray:
     """The beginning of a route and the way to its end, together at most as long as the budget."""
-    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
-    driven = np.concatenate([[0.0], np.cumsum(lengths)])
+    driven = driven_at(route)
+    lengths = np.diff(driven)
 
     def upto(distance: float) -> np.ndarray:
         index = int(np.searchsorted(driven, distance, side="right")) - 1
@@ -278,5 +274,5 @@ def _cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Tr
     low, high = 0.0, min(budget, driven[-1])  # a way back is feasible from the start
     for _ in range(40):
         middle = (low + high) / 2
-        low, high = (middle, high) if route_length(upto(middle)) <= budget else (low, middle)
+        low, high = (middle, high) if length_of(upto(middle)) <= budget else (low, middle)
     return upto(low)

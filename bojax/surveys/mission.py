@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,9 @@ import numpy as np
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
+from bojax.results.store import write_arrays
 from bojax.surveys.area import Area
-from bojax.surveys.guesses import Waypoints, length_of
+from bojax.surveys.polylines import Waypoints, length_of
 from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points
 
 LEAST_CAPACITY = 64
@@ -231,7 +231,6 @@ class Mission:
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
-        path = Path(path)
         plain = {name: getattr(self, name) for name in _PLAIN}
         plain["counts"], plain["options"] = dict(self.counts), dataclasses.asdict(self.options)
         plain["rings"] = [len(zone) for zone in (self.area.outline, *self.area.avoid)]
@@ -240,12 +239,7 @@ class Mission:
         arrays |= {"x": self._x, "y": self._y, "position": self.position}
         arrays |= {"end": NOTHING if self.end is None else self.end}
         arrays |= {"route": NOTHING if self.route is None else self.route.waypoints}
-        partial = path.with_name(path.name + ".partial")
-        with partial.open("wb") as file:
-            np.savez(file, plain=np.asarray(json.dumps(plain)), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
+        write_arrays(Path(path), {"plain": np.asarray(json.dumps(plain)), **arrays})
 
     @classmethod
     def load(cls, path: str | Path) -> "Mission":

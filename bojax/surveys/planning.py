@@ -4,23 +4,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.area import Area
-from bojax.surveys.information import PointErrors
+from bojax.surveys.information import PointErrors, left_by
 from bojax.surveys.lawnmower import (
     DIRECTIONS,
     Ground,
     check_budget,
     lawnmower,
     lawnmowers_within,
-    route_length,
 )
 from bojax.surveys.model import FieldModel
+from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import RouteOptions, plan_route
 from bojax.surveys.shapes import to_shape
 
@@ -63,7 +61,7 @@ class Candidate:
     @property
     def length(self) -> float:
         """Length of the route, m."""
-        return route_length(self.waypoints)
+        return length_of(self.waypoints)
 
     @property
     def error(self) -> float:
@@ -149,7 +147,7 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     part = Area(tuple(ground.rings))
     spacing = math.sqrt(ground.size / GRID_POINTS)
     belief, grid = model.belief(), part.grid(spacing)
-    longest = max(route_length(route) for _, route in routes)
+    longest = max(length_of(route) for _, route in routes)
     sampling = demand.sampling or model.lengthscale / 5.0
     outcomes = _Outcomes(PointErrors.of(belief, jnp.asarray(grid)), sampling, demand.budget or longest)
     found = [outcomes.of("lawnmower", detail, route) for detail, route in routes]
@@ -209,13 +207,13 @@ class _Outcomes:
 
     def of(self, method: str, detail: str, route: np.ndarray) -> tuple[Candidate, np.ndarray]:
         """A route as a candidate, and the variances at the grid after it."""
-        samples, is_taken = _samples(route, self._step, self._number)
-        curve, variance = _outcome(
-            self.errors, jnp.asarray(samples), jnp.asarray(is_taken), jnp.asarray(self._per_sample)
-        )
+        distances = self._step * np.arange(1, self._number + 1)
+        is_taken = distances <= length_of(route) * (1.0 + 1e-9)
+        samples = jnp.asarray(points_along(route, distances))
+        curve, variance = left_by(self.errors, samples, jnp.asarray(is_taken), jnp.asarray(self._per_sample))
         taken = int(is_taken.sum())
-        distances = self._step * np.arange(taken + 1)
-        candidate = Candidate(method, detail, route, distances, np.asarray(curve)[: taken + 1])
+        driven = self._step * np.arange(taken + 1)
+        candidate = Candidate(method, detail, route, driven, np.asarray(curve)[: taken + 1])
         return candidate, np.asarray(variance)
 
 
@@ -237,23 +235,3 @@ def _lawnmowers(
         )
         routes += [(detail if i == 0 else f"{detail}, cut", route) for i, route in enumerate(found)]
     return routes, lines
-
-
-def _samples(route: np.ndarray, step: float, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points `[number, 2]` at every step of a route, and whether each lies on it."""
-    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
-    driven = np.concatenate([[0.0], np.cumsum(lengths)])
-    distances = step * np.arange(1, number + 1)
-    points = np.stack([np.interp(distances, driven, route[:, axis]) for axis in (0, 1)], axis=1)
-    return points, distances <= driven[-1] * (1.0 + 1e-9)
-
-
-@eqx.filter_jit
-def _outcome(
-    errors: PointErrors, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: Array
-) -> tuple[Float[Array, "T"], Float[Array, "M"]]:
-    """Mean deviation after each number of samples, 0 first, and the variances after all."""
-    explained = jnp.cumsum(errors.explained(samples, is_taken, samples_per_point), axis=0)
-    before = jnp.zeros((1, explained.shape[1]), explained.dtype)
-    variance = errors.variance[None] - jnp.concatenate([before, explained])
-    return errors.mean_deviation(variance), variance[-1]

@@ -14,7 +14,8 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.quasirandom import generalised_golden_ratio
 from bojax.surveys.area import Area
 from bojax.surveys.descent import Ends, Limits, Models, descend
-from bojax.surveys.guesses import Waypoints, length_of, parallel_lines, tour, with_waypoints
+from bojax.surveys.guesses import parallel_lines, tour
+from bojax.surveys.polylines import Waypoints, driven_at, length_of, points_along, with_waypoints
 
 ROUNDING = 1e-9  # share of a length that may be exceeded by rounding
 NUM_SAMPLES = 100  # of a route while it is descended; each stands for several measurements, or a part of one
@@ -165,11 +166,10 @@ def fitted(guess: Any, budget: float, start: Waypoints | None, end: Waypoints | 
         route = np.concatenate([start[None], route])
     if end is not None:
         return route if np.allclose(route[-1], end) else np.concatenate([route, end[None]])
-    ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
-    if ends[-1] <= budget:
+    driven = driven_at(route)
+    if driven[-1] <= budget:
         return route
-    last = [np.interp(budget, ends, route[:, axis]) for axis in (0, 1)]
-    return np.concatenate([route[ends < budget], [last]])
+    return np.concatenate([route[driven < budget], points_along(route, np.array([budget]))])
 
 
 def spread_points(area: Area, number: int) -> Waypoints:

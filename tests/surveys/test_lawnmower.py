@@ -8,7 +8,7 @@ import pytest
 shapely = pytest.importorskip("shapely")
 
 from bojax.surveys.area import Area  # noqa: E402
-from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within, route_length  # noqa: E402
+from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within, length_of  # noqa: E402
 from bojax.surveys.shapes import to_shape  # noqa: E402
 
 HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
@@ -48,12 +48,12 @@ def test_a_lawnmower_stays_inside_and_covers_the_area(name: str, angle: float) -
     assert distance.max() < spacing
     # Beside the lines there are the ways between them: along the border, and around holes.
     lines = to_shape(area).area / spacing
-    assert 0.95 * lines < route_length(route) < 1.1 * lines + to_shape(area).length
+    assert 0.95 * lines < length_of(route) < 1.1 * lines + to_shape(area).length
 
 
 def test_lines_of_a_square_are_as_many_as_needed() -> None:
     route = lawnmower(SQUARE, 2.0)
-    assert route_length(route) == pytest.approx(5 * 10.0 + 4 * 2.0)
+    assert length_of(route) == pytest.approx(5 * 10.0 + 4 * 2.0)
     assert len(route) == 10
 
 
@@ -73,7 +73,7 @@ def test_the_budget_is_kept(name: str, has_end: bool, budget: float) -> None:
     start, end = np.array([1.0, 1.0]), np.array([9.0, 7.5]) if has_end else None
     for angle in ANGLES:
         for route in lawnmowers_within(ground, budget, angle, start, end):
-            assert route_length(route) <= budget + 1e-9
+            assert length_of(route) <= budget + 1e-9
             assert is_inside(AREAS[name], route)
             np.testing.assert_array_equal(route[0], start)
             if end is not None:
@@ -87,12 +87,12 @@ def test_a_budget_is_used_up_and_more_of_it_covers_more() -> None:
         for budget in (20, 40, 80)
     ]
     assert reached[0] > reached[1] > reached[2]
-    assert max(map(route_length, lawnmowers_within(ground, 40.0))) > 39.0
+    assert max(map(length_of, lawnmowers_within(ground, 40.0))) > 39.0
 
 
 def test_the_way_around_a_hole_is_the_shortest() -> None:
     path = Ground.of(AREAS["hole"]).transfers.path(np.array([3.0, 5.0]), np.array([7.0, 5.0]))
-    assert route_length(path) == pytest.approx(2.0 + 2.0 * math.sqrt(2.0))
+    assert length_of(path) == pytest.approx(2.0 + 2.0 * math.sqrt(2.0))
 
 
 def test_of_several_parts_the_one_with_the_start_is_covered() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bojax.surveys.area import Area
-from bojax.surveys.guesses import length_of
 from bojax.surveys.mission import Mission
+from bojax.surveys.polylines import length_of
 from bojax.surveys.route import RouteOptions, fitted
 
 QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)

@@ -10,8 +10,9 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.surveys.area import Area
 from bojax.surveys.descent import Ends, within_budget
-from bojax.surveys.guesses import length_of, parallel_lines, with_waypoints
+from bojax.surveys.guesses import parallel_lines
 from bojax.surveys.information import expected_error
+from bojax.surveys.polylines import length_of, with_waypoints
 from bojax.surveys.route import RouteOptions, plan_route, stays_inside
 
 QUICK = RouteOptions(waypoints=16, restarts=5, steps=80, models=2)

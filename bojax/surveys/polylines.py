@@ -1,0 +1,39 @@
+"""Routes as polylines of waypoints, in NumPy: routes of many sizes would each compile a program."""
+
+import numpy as np
+
+Waypoints = np.ndarray  # [W, 2], m
+
+
+def length_of(route: Waypoints) -> float:
+    """Length of a polyline, m."""
+    return float(np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
+
+
+def driven_at(route: Waypoints) -> np.ndarray:
+    """Distance from the start at each waypoint `[W]`, m."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
+
+
+def points_along(route: Waypoints, distances: np.ndarray) -> Waypoints:
+    """Points at distances from the start of a polyline; its last one beyond its end."""
+    driven = driven_at(route)
+    return np.stack([np.interp(distances, driven, route[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def with_waypoints(route: Waypoints, number: int) -> Waypoints:
+    """The same polyline with `number` waypoints, if it has fewer: its longest pieces are divided.
+
+    A polyline with more is replaced by `number` points at equal distances along it.
+    """
+    if len(route) > number:
+        return points_along(route, np.linspace(0.0, length_of(route), number))
+    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
+    parts = np.ones(len(lengths), int)
+    for _ in range(number - len(route)):
+        parts[np.argmax(lengths / parts)] += 1
+    pieces = [
+        first + (last - first) * np.arange(count)[:, None] / count
+        for first, last, count in zip(route[:-1], route[1:], parts, strict=True)
+    ]
+    return np.concatenate([*pieces, route[-1:]])
