@@ -145,8 +145,12 @@ class RunFolder:
         )
 
     def describe(self, device: Mapping[str, Any]) -> None:
-        """Write the description of the devices of the process that makes the plan."""
-        write_checked_json(self.work / _DEVICE, device)
+        """Write the description of the devices of the process that makes the plan, or of one that joins it."""
+        path = self.work / _DEVICE
+        own = path.with_name(f".{_DEVICE}-{secrets.token_hex(6)}")  # workers may write side by side
+        write_checked_json(own, device, _DEVICE)
+        with explained(path):
+            own.replace(path)
 
     def device(self) -> dict[str, Any]:
         """The description that `describe` wrote, for a driver on a machine that may have no such device."""

@@ -1,6 +1,7 @@
 """Results folders: nothing is overwritten, and unfinished sweeps are resumed."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -194,4 +195,14 @@ def test_the_first_worker_commits_the_plan(tmp_path):
     assert folder.plan() == PLAN and folder.device() == {"platform": "gpu", "count": 2}
     with pytest.raises(ResultsError, match="does not fit the plan: code.bojax: the source differs"):
         folder.join({**PLAN, "code": {"bojax": "b"}}, {})
+    assert sorted(path.name for path in folder.work.iterdir()) == ["device.json", "lock", "plan.json"]
+
+
+def test_workers_that_start_at_once_all_join(tmp_path):
+    folder = RunFolder(tmp_path / "out")
+    folder.create(None)
+    device = {"platform": "gpu", "count": 2}
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: (folder.describe(device), folder.join(PLAN, device)), range(100)))
+    assert folder.plan() == PLAN and folder.device() == device
     assert sorted(path.name for path in folder.work.iterdir()) == ["device.json", "lock", "plan.json"]
