@@ -145,7 +145,7 @@ class RunFolder:
         )
 
     def describe(self, device: Mapping[str, Any]) -> None:
-        """Write the description of the devices of the process that makes the plan, or of one that joins it."""
+        """Write the description of the devices of the process that makes the plan, or of a worker."""
         path = self.work / _DEVICE
         own = path.with_name(f".{_DEVICE}-{secrets.token_hex(6)}")  # workers may write side by side
         write_checked_json(own, device, _DEVICE)
