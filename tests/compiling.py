@@ -13,6 +13,11 @@ IS_CPU = os.environ.get("JAX_PLATFORMS", "cpu") == "cpu"
 REPEATABLY = {} if IS_CPU else {"xla_gpu_deterministic_ops": True}
 """A GPU adds the forces of contacts in any order: the last bits of a wheeled robot differ every time."""
 
+OPTIMISED = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
+"""For programs that run for seconds: `quick_flags` make a search of 1,000 iterations ten times slower."""
+if not IS_CPU:
+    OPTIMISED = {}
+
 
 def quick_flags() -> list[str]:
     """Flags for `XLA_FLAGS` with which programs compile in a third of the time and run slower."""

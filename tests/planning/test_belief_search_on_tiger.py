@@ -2,7 +2,6 @@
 
 from functools import cache
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from bojax.planning.leaf_values import LeafValue
 from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles
 from bojax.problems.pomdp.tiger import Tiger
+from tests.compiling import OPTIMISED
 from tests.planning.belief_searches import number, planner
 from tests.tiers import by_tier
 
@@ -74,7 +74,7 @@ def trees(name, net_hearings, leaf_value):
         name, 1500, **settings, num_particles=200, num_reservoirs=256, leaf_value=leaf_value
     )
     search = jax.vmap(lambda key: search_planner.search(key, TIGER, belief), axis_name=LANES)
-    return eqx.filter_jit(search)(jax.random.split(jax.random.key(7), NUM_LANES))
+    return jax.jit(search, compiler_options=OPTIMISED)(jax.random.split(jax.random.key(7), NUM_LANES))
 
 
 def root_values(trees):
