@@ -17,9 +17,8 @@ from typing_extensions import override
 from bojax.engine.batch import Lanes, Leaves, Programs, Status, checked_advance
 from bojax.envs.base import TimeStep
 from bojax.experiments.base import Carry, Experiment
-from bojax.experiments.episode import EpisodeState
+from bojax.experiments.episode import Choice, EpisodeState
 from bojax.experiments.learning import LearningRun
-from bojax.experiments.phases import Choice
 from bojax.numerics.lanes import LANES
 
 

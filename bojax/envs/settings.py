@@ -87,6 +87,22 @@ class MountainCar(ControlTask, frozen=True):
     gravity: float = Field(default=0.0025, ge=0, description="velocity change per step on the steepest slope")
 
 
+class PointMaze(ControlTask, frozen=True):
+    """Move a point without inertia to a disc behind walls; not in the thesis."""
+
+    target: ClassVar[str] = "bojax.envs.point_maze:PointMaze"
+    observation_names: ClassVar[tuple[str, str]] = ("x", "y")
+    kind: Literal["point-maze"] = "point-maze"
+    layout: Literal["open", "wall", "maze"] = Field(
+        default="wall", description="walls: none, one with a gap at its upper end, or two with gaps in turn"
+    )
+    move: float = Field(
+        default=0.05, gt=0, le=0.1, description="longest move along an axis, in sides of the square"
+    )
+    goal_radius: float = Field(default=0.1, gt=0, description="radius of the goal, in sides of the square")
+    max_steps: MaxSteps = 150
+
+
 class DoublePendulum(ControlTask, frozen=True):
     """Swing a two-link pendulum up with one weak motor (thesis, p. 107; Gym's Acrobot)."""
 

@@ -1,15 +1,23 @@
 """The state of an episode of learning, and its change by a step of the environment."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from bojax.envs.base import Env, EnvState, Observation, TimeStep
+from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
 from bojax.envs.spaces import Box, Space
 from bojax.learning.base import LearnerState
+
+
+class Choice(NamedTuple):
+    """An action, and the return Q that the learner expects of it."""
+
+    action: Action
+    expected: Float[Array, ""]
 
 
 class EpisodeState(eqx.Module):
@@ -28,6 +36,8 @@ class EpisodeState(eqx.Module):
         failed: Whether the environment returned a non-finite value.
         outside: Number of steps to an observation outside the declared bounds.
         rows: The steps so far, see `StepRows`; T is 0 in a test.
+        repeated: The last choice of the learner, where it is repeated for several steps; None if the learner
+            chooses in every step.
     """
 
     env: EnvState
@@ -42,6 +52,7 @@ class EpisodeState(eqx.Module):
     failed: Bool[Array, ""]
     outside: Int[Array, ""]
     rows: Float[Array, "T R"]
+    repeated: Choice | None
 
 
 def apply_transition(

@@ -80,6 +80,7 @@ class LearningRun(Experiment):
     target_return: Float[Array, ""] | None
     saved: LearnerState
     episodes: int = eqx.field(static=True)
+    action_repeat: int = eqx.field(static=True)
     starts: Literal["per-episode", "per-run"] = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
@@ -378,7 +379,14 @@ class LearningRun(Experiment):
         key = self._key(carry, counter)
         start = (key, 0) if self.starts == "per-episode" else (carry.key, _START)
         return Phase(
-            self.env, self.learner, acting, exploration, key, jax.random.fold_in(*start), learns=learns
+            self.env,
+            self.learner,
+            acting,
+            exploration,
+            key,
+            jax.random.fold_in(*start),
+            learns=learns,
+            action_repeat=self.action_repeat,
         )
 
     def _key(self, carry: RunState, counter: Int[Array, ""] | int) -> Key[Array, ""]:

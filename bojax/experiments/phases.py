@@ -12,28 +12,21 @@ the same order: `run_episode`, for environments that are compiled with the learn
         flush, after every `learner.block` steps and at the end
 """
 
-from typing import NamedTuple
+from dataclasses import replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+from jaxtyping import Array, Bool, Int, Key, UInt32
 
-from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
-from bojax.experiments.episode import EpisodeState, apply_transition
+from bojax.envs.base import Env, EnvState, Observation, TimeStep
+from bojax.experiments.episode import Choice, EpisodeState, apply_transition
 from bojax.experiments.step_rows import StepRows
 from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
 from bojax.numerics.lanes import any_lane, batched_together
 
 PHASES = ("train", "test")
 """Values of the column `phase`, which holds the index into this list until it is stored."""
-
-
-class Choice(NamedTuple):
-    """An action, and the return Q that the learner expects of it."""
-
-    action: Action
-    expected: Float[Array, ""]
 
 
 class Phase(eqx.Module):
@@ -47,6 +40,7 @@ class Phase(eqx.Module):
         key: Key of the episode.
         reset_key: Key of the initial state of the environment.
         learns: Whether the learner learns, from every step and from the whole episode at its end.
+        action_repeat: Number of steps for which every action is repeated.
     """
 
     env: Env
@@ -56,6 +50,7 @@ class Phase(eqx.Module):
     key: Key[Array, ""]
     reset_key: Key[Array, ""]
     learns: bool = eqx.field(static=True)
+    action_repeat: int = eqx.field(static=True, default=1)
 
     @property
     def num_rows(self) -> int:
@@ -83,12 +78,13 @@ class Phase(eqx.Module):
         """A new episode from the initial state and observation of the environment."""
         false, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
         dtype = self.learner.exploration_weight.dtype
+        total = jnp.zeros((), dtype)
         return EpisodeState(
             env=env_state,
             observation=observation,
             learner=learner,
             is_active=is_active,
-            total=jnp.zeros((), dtype),
+            total=total,
             length=zero,
             terminated=false,
             truncated=false,
@@ -96,11 +92,18 @@ class Phase(eqx.Module):
             failed=false,
             outside=zero,
             rows=jnp.zeros((self.num_rows, self.rows.width), dtype),
+            repeated=None if self.action_repeat == 1 else Choice(self.env.action_space.example, total),
         )
 
     def act(self, key: Key[Array, ""], episode: EpisodeState) -> Choice:
-        """The action that the learner takes."""
-        return Choice(*self.learner.act(key, episode.learner, episode.observation, self.acting))
+        """The action that the learner takes, or the one that is being repeated."""
+        choice = Choice(*self.learner.act(key, episode.learner, episode.observation, self.acting))
+        if episode.repeated is None:
+            return choice
+        # The learner chooses in every step, and the choice is dropped where an action is repeated: the lanes
+        # of a batch may be at different steps of their episodes.
+        is_new = episode.length % self.action_repeat == 0
+        return jax.tree.map(lambda new, old: jnp.where(is_new, new, old), choice, episode.repeated)
 
     def apply(
         self,
@@ -117,6 +120,8 @@ class Phase(eqx.Module):
         number of the step in the episode, from 0.
         """
         after, counts = apply_transition(self.env, episode, env_state, time_step)
+        if episode.repeated is not None:
+            after = replace(after, repeated=choice)
         if not self.learns:
             return after
         transition = Transition(

@@ -75,6 +75,11 @@ class Learning(ExperimentSettings, frozen=True):
         default=Constant(), description="schedule of exploration over the training episodes"
     )
     episodes: int = Field(default=100, ge=1, description="number of training episodes")
+    action_repeat: int = Field(
+        default=1,
+        ge=1,
+        description="number of steps for which every action is repeated; the learner learns from each step",
+    )
     starts: Literal["per-episode", "per-run"] = Field(
         default="per-episode",
         description="every episode draws its initial state, or all those of a run share one",

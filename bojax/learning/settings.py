@@ -205,6 +205,14 @@ class RFFQ(LearnerSettings, frozen=True):
     block: _Block = 16
 
 
+class RandomActions(LearnerSettings, frozen=True):
+    """Uniformly random actions, which learn nothing: the baseline of exploration."""
+
+    target: ClassVar[str] = "bojax.learning.random_actions:RandomActions"
+    kind: Literal["random"] = "random"
+    block: _Block = 16
+
+
 class DORA(LearnerSettings, frozen=True):
     """Q-learning on tiles, explored by E-values (Fox et al., ICLR 2018; thesis, Section 5.7.2)."""
 

@@ -214,6 +214,20 @@ def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
     assert history.summary()["success"] is False and history.summary()["episodes_to_goal"] == -1
 
 
+def test_an_action_is_repeated_from_the_start_of_an_episode():
+    env = {"kind": "point-maze", "layout": "open", "max_steps": 14}
+    settings = {"learner": "random", "episodes": 2, "tests": 0, "env": env}
+    once, repeated = (History(run_of(action_repeat=n, **settings), lanes=2) for n in (1, 4))
+    for lane in range(2):
+        steps, expected = repeated.rows("steps", lane), once.rows("steps", lane)
+        number = np.asarray(steps["step"]) - 1
+        for name in ("action_0", "action_1"):
+            # The keys of steps do not depend on the repetition.
+            first = np.arange(len(number)) - number % 4
+            np.testing.assert_array_equal(steps[name], expected[name][first])
+        assert len(number) == 28 and len(np.unique(steps["action_0"])) == 8
+
+
 def test_an_end_within_the_limit_terminates_an_episode():
     env = corridor(cells=5, max_steps=4)
     rows = History(run_of(env, learner="epsilon-greedy", episodes=2, tests=0), lanes=1).rows()
