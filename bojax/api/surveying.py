@@ -74,6 +74,7 @@ def survey(
     avoid: Sequence[str | Path] = (),
     below: float | None = None,
     prior: str | Path | None = None,
+    goal: str = "map",
     lengthscale: float | None = None,
     spacing: float | None = None,
     sampling: float | None = None,
@@ -92,6 +93,8 @@ def survey(
         avoid: Files of no-go zones.
         below: Of a raster, only cells with values below this number are surveyed.
         prior: File of an earlier survey of the field, from which the model is learned.
+        goal: Places that count: `"map"` for all, `"hotspots"` for the highest tenth, `"threshold=V"` for
+            those near a value, `"region=FILE"` for those in the polygons of a file.
         lengthscale: Distance over which values are alike, m; learned or assumed by default.
         spacing: Least distance between two lines of a lawnmower, m.
         sampling: Distance between two measurements, m.
@@ -106,6 +109,7 @@ def survey(
         folder = dated_folder("survey") if out is None else Path(path_of(out, "out"))
         require_empty(folder)
     options = {"budget": budget, "time": time, "speed": speed, "below": below, "prior": prior}
+    options |= {"goal": goal}
     options |= {"lengthscale": lengthscale, "spacing": spacing, "sampling": sampling, "out": folder}
     for option, point in (("start", start), ("end", end)):
         options[option] = None if point is None else ",".join(repr(float(value)) for value in point)

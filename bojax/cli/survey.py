@@ -6,9 +6,14 @@ import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bojax.cli.parser import Parser, UsageError, path
 from bojax.text import one_line
+
+if TYPE_CHECKING:
+    from bojax.surveys.goals import Goal
+    from bojax.surveys.place import Place
 
 _EXAMPLES = """\
   bojax survey bay.geojson --budget 2km                     an optimised route, or the best lawnmower
@@ -62,7 +67,8 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
                 model = assumed_model(place.size, args.lengthscale)
             else:
                 model = learned_model(args.prior, place, args.lengthscale)
-            demand = Demand(budget, start, end, args.spacing, args.sampling)
+            goal = _goal(args.goal, place)
+            demand = Demand(budget, start, end, args.spacing, args.sampling, goal)
             survey = plan_survey(place.area, model, demand, optimises=not args.lawnmower)
         except ValueError as error:
             raise UsageError(one_line(error)) from error
@@ -71,9 +77,12 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             place = place.noted(
                 f"The area is not connected: {part}, {100 * survey.share:.3g}% of it, is surveyed."
             )
+        if goal.needs_values and survey.weights.min() == survey.weights.max():
+            reason = "without --prior, " if args.prior is None else f"in {args.prior}, "
+            place = place.noted(f"All places count alike: {reason}nothing tells them apart for this goal.")
         for note in place.notes:
             print(f"note: {note}")
-        files = write_survey(out, place, model, survey, budget, args.speed, command)
+        files = write_survey(out, place, model, survey, demand, args.speed, command)
 
     from bojax.report.surveying import build_survey_page, survey_summary
 
@@ -81,6 +90,17 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
     print(survey_summary(out))
     print(*files, page, sep="\n")
     return 0
+
+
+def _goal(given: tuple[str, str], place: "Place") -> "Goal":
+    from bojax.surveys.goals import Goal
+
+    kind, argument = given
+    if kind == "threshold":
+        return Goal(kind, threshold=float(argument))
+    if kind == "region":
+        return Goal(kind, region=place.region(argument))
+    return Goal("hotspots" if kind == "hotspots" else "map")
 
 
 def _budget(args: argparse.Namespace) -> float | None:
@@ -97,7 +117,8 @@ def _parser(name: str) -> Parser:
         name,
         "AREA [--budget LENGTH | --time TIME --speed M/S] [--start X,Y] [--end X,Y]\n"
         "                    [--avoid FILE]... [--below V] [--prior FILE] [--lengthscale M] [--spacing M]\n"
-        "                    [--sampling M] [--lawnmower] [--out DIR]",
+        "                    [--goal map|hotspots|threshold=V|region=FILE] [--sampling M]\n"
+        "                    [--lawnmower] [--out DIR]",
         _DESCRIPTION,
         _EXAMPLES,
     )
@@ -116,6 +137,8 @@ def _parser(name: str) -> Parser:
     parser.option("--below", "V", "of a raster, only cells with values below V: 0 for the sea", _number)
     prior = "earlier survey of the field, from which the model is learned: raster, or x, y and value"
     parser.option("--prior", "FILE", prior)
+    goal = "places that count: all, the highest tenth, those near a value, or a region (default: map)"
+    parser.option("--goal", "GOAL", goal, _goal_words, default=("map", ""))
     scale = "distance over which values are alike, m (default: learned, or a tenth of AREA's root)"
     parser.option("--lengthscale", "M", scale, _positive)
     lines = "least distance between two lines, m (default without a budget: the lengthscale)"
@@ -159,6 +182,15 @@ def _duration(text: str) -> float:
     ):
         raise argparse.ArgumentTypeError(f"got {text}; allowed: a duration such as 40min, 90s or 1h30min")
     return sum(_positive(value) * _UNITS[unit] for value, unit in parts)
+
+
+def _goal_words(text: str) -> tuple[str, str]:
+    from bojax.surveys.goals import parse_goal
+
+    try:
+        return parse_goal(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def _point(text: str) -> tuple[float, float]:

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 
@@ -31,6 +33,8 @@ def build_survey_page(folder: Path) -> Path:
             "route": _draw_route(survey, maps).encoded(),
             "error": _draw_errors(survey).encoded(),
         }
+        if survey["goal"]["kind"] in ("hotspots", "threshold"):
+            plates["goal"] = _draw_goal(survey, maps).encoded()
     style.write_images(folder, {name: plate.files for name, plate in plates.items()})
     page = fill(
         "survey.html.j2",
@@ -58,8 +62,8 @@ def _summary(survey: Mapping[str, Any]) -> str:
     before = chosen["errors"][0]
     text = (
         f"The best of {counted(len(survey['candidates']), 'candidate')} is: {chosen['name']}, "
-        f"{_distance(chosen['length'])} long. It takes the mean standard deviation over the area from "
-        f"{number(before)} to {number(chosen['errors'][-1])}"
+        f"{_distance(chosen['length'])} long. It takes the mean standard deviation "
+        f"{survey['goal']['meaning']} from {number(before)} to {number(chosen['errors'][-1])}"
     )
     if chosen is mower:
         return f"{text}."
@@ -81,7 +85,39 @@ def _unit(extent: float) -> tuple[str, float]:
 
 def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Drawing:
     """The route on a map of the expected standard deviation."""
-    chosen, side = survey["candidates"][0], survey["grid_spacing"]
+    chosen = survey["candidates"][0]
+    drawn, axes, scale = _draw_map(survey, maps, "after", "expected standard deviation after the survey")
+    route = np.asarray(chosen["waypoints"]) / scale
+    axes.plot(*route.T, color=style.BLUE, linewidth=1.1)
+    axes.plot(*route[0], marker="o", color=style.BLUE, markersize=5)
+    axes.plot(*route[-1], marker="s", color=style.BLUE, markersize=5)
+    return Drawing(
+        drawn,
+        "Route",
+        f"The proposed route ({chosen['name']}), from the dot to the square, on the standard "
+        "deviation that the model expects after it. x is to the east and y to the north of the lower left "
+        "corner of the area.",
+        f"A route of {_distance(chosen['length'])} in the area; {chosen['name']}.",
+    )
+
+
+def _draw_goal(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Drawing:
+    """The weights of the goal."""
+    drawn, _, _ = _draw_map(survey, maps, "weights", "weight in the error")
+    highest = maps["weights"].max()
+    return Drawing(
+        drawn,
+        "What counts",
+        f"Weight of each place in the error, a mean {survey['goal']['meaning']}; the mean weight is 1.",
+        f"A map of weights from {number(maps['weights'].min())} to {number(highest)}.",
+    )
+
+
+def _draw_map(
+    survey: Mapping[str, Any], maps: Mapping[str, np.ndarray], name: str, label: str
+) -> tuple[Figure, Axes, float]:
+    """One of the maps in the border of the area, and the metres of a unit of its axes."""
+    side = survey["grid_spacing"]
     unit, scale = _unit(float(np.ptp(maps["outline"], axis=0).max()))
     low, high = maps["outline"].min(0) / scale, maps["outline"].max(0) / scale
     width, height = high - low
@@ -90,36 +126,25 @@ def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Dr
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
     cells = PolyCollection(
         list((maps["grid"][:, None] + corners) / scale),
-        array=maps["after"],
+        array=maps[name],
         cmap=QUIET,
         edgecolors="face",
         linewidths=0.2,
     )
-    cells.set_clim(0.0, float(maps["after"].max()))
+    cells.set_clim(0.0, float(maps[name].max()))
     cells.set_rasterized(True)
     axes.add_collection(cells)
     border = PathPatch(_outline(maps, scale), fill=False, edgecolor=style.INK, linewidth=0.8)
     axes.add_patch(border)
     cells.set_clip_path(border)
-    route = np.asarray(chosen["waypoints"]) / scale
-    axes.plot(*route.T, color=style.BLUE, linewidth=1.1)
-    axes.plot(*route[0], marker="o", color=style.BLUE, markersize=5)
-    axes.plot(*route[-1], marker="s", color=style.BLUE, markersize=5)
     axes.set_aspect("equal")
     margin = 0.03 * max(width, height)
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_xlabel(f"x ({unit})")
     axes.set_ylabel(f"y ({unit})")
-    draw_scale(figure, cells, [axes], shrink=0.7, label="expected standard deviation after the survey")
-    return Drawing(
-        figure,
-        "Route",
-        f"The proposed route ({chosen['name']}), from the dot to the square, on the standard "
-        "deviation that the model expects after it. x is to the east and y to the north of the lower left "
-        "corner of the area.",
-        f"A route of {_distance(chosen['length'])} in the area; {chosen['name']}.",
-    )
+    draw_scale(figure, cells, [axes], shrink=0.7, label=label)
+    return figure, axes, scale
 
 
 def _outline(maps: Mapping[str, np.ndarray], scale: float) -> Outline:
@@ -158,8 +183,8 @@ def _draw_errors(survey: Mapping[str, Any]) -> Drawing:
     return Drawing(
         figure,
         "Expected error against distance",
-        "Mean over the area of the standard deviation that the model expects after the measurements up to "
-        "each distance. Grey: the other candidates.",
+        f"Mean {survey['goal']['meaning']} of the standard deviation that the model expects after the "
+        "measurements up to each distance. Grey: the other candidates.",
         _summary(survey),
     )
 
@@ -170,7 +195,7 @@ def _table(survey: Mapping[str, Any]) -> Table:
         cells = [_distance(each["length"]), number(each["errors"][-1]), str(len(each["waypoints"]))]
         rows.append((each["name"], [Cell(text) for text in cells]))
     caption = (
-        "All routes that were compared, the proposed one first. Error: mean over the area of the standard "
-        f"deviation that the model expects at the end. {survey['rule']}"
+        "All routes that were compared, the proposed one first. Error: mean standard deviation "
+        f"{survey['goal']['meaning']} that the model expects at the end. {survey['rule']}"
     )
     return Table(["length", "error", "waypoints"], rows, caption)

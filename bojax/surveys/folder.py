@@ -9,7 +9,7 @@ from bojax import __version__
 from bojax.results.store import make_folder, write_arrays, write_json
 from bojax.surveys.model import FieldModel
 from bojax.surveys.place import Place
-from bojax.surveys.planning import Candidate, Survey
+from bojax.surveys.planning import Candidate, Demand, Survey
 from bojax.surveys.shapes import rings_of, to_shape
 from bojax.surveys.waypoints import write_waypoints
 
@@ -19,20 +19,22 @@ def write_survey(
     place: Place,
     model: FieldModel,
     survey: Survey,
-    budget: float | None,
+    demand: Demand,
     speed: float | None,
     command: str,
 ) -> list[Path]:
     """Write the waypoints of the proposed route, and what a page needs, and return the paths of the former.
 
     `survey.json` holds the candidates, the model and the settings; `survey.npz` the map: `grid [M, 2]`, the
-    standard deviations `before [M]` and `after [M]`, and the border, `outline [P, 2]` with `ring_ends`.
+    standard deviations `before [M]` and `after [M]`, the `weights [M]` of the goal, and the border,
+    `outline [P, 2]` with `ring_ends`.
     """
     make_folder(folder)
     files = write_waypoints(folder, survey.chosen.waypoints, place.projection, speed)
     rings = rings_of(to_shape(place.area))
     arrays = {
         "grid": survey.grid,
+        "weights": survey.weights,
         "before": survey.before,
         "after": survey.after,
         "outline": np.concatenate(rings),
@@ -42,10 +44,11 @@ def write_survey(
     content = {
         "area": place.name,
         "rule": "Best is the least error."
-        if budget is not None
+        if demand.budget is not None
         else "All cover the area: best is the shortest.",
+        "goal": {"kind": demand.goal.kind, "meaning": demand.goal.meaning},
         "grid_spacing": survey.grid_spacing,
-        "settings": _settings(place, model, survey, budget, speed),
+        "settings": _settings(place, model, survey, demand, speed),
         "candidates": [_plain(each) for each in survey.candidates],
         "projection": {
             "crs": place.projection.crs,
@@ -59,9 +62,9 @@ def write_survey(
 
 
 def _settings(
-    place: Place, model: FieldModel, survey: Survey, budget: float | None, speed: float | None
+    place: Place, model: FieldModel, survey: Survey, demand: Demand, speed: float | None
 ) -> dict[str, str]:
-    chosen = survey.chosen
+    chosen, budget = survey.chosen, demand.budget
     rows = {
         "area": f"{place.size / 1e6:.4g} km\N{SUPERSCRIPT TWO}"
         if place.size > 1e5
@@ -71,6 +74,7 @@ def _settings(
         "standard deviation of the field": f"{model.std:.4g}",
         "standard deviation of the noise": f"{model.noise:.4g}",
         "distance between measurements": f"{survey.sampling:.4g} m",
+        "goal": f"least mean standard deviation {demand.goal.meaning}",
         "budget": "none: the area is covered" if budget is None else f"{budget:.6g} m",
     }
     if survey.lines is not None:

@@ -15,6 +15,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.results.store import write_arrays
 from bojax.surveys.area import Area
+from bojax.surveys.goals import Goal, parse_goal
 from bojax.surveys.polylines import Waypoints, length_of
 from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points
 
@@ -45,6 +46,7 @@ class Mission:
             `bad_pose`; and `time_backwards`, for measurements that are kept.
         hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
         route: The last plan.
+        goal: What the survey is for.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class Mission:
         relearn_every: int | None = None,
         options: RouteOptions | None = None,
         seed: int = 0,
+        goal: str | Area = "map",
     ):
         """Prepare a mission.
 
@@ -76,9 +79,12 @@ class Mission:
             options: Options of the optimiser of routes; by default `OPTIONS`, with less work than those of a
                 single plan.
             seed: Seed of the tours and of the search for hyper-parameters.
+            goal: Places that count: `"map"` for all, `"hotspots"` for the highest tenth, `"threshold=V"` for
+                those near a value, or the part of the area that counts. Hot spots and places near a
+                threshold follow from what was measured: before that, all places count alike.
 
         Raises:
-            ValueError: A number is not positive, or the start is not a position.
+            ValueError: A number is not positive, the start is not a position, or the goal is not known.
         """
         x_min, y_min, x_max, y_max = area.bounds
         self._size = max(x_max - x_min, y_max - y_min)
@@ -97,6 +103,7 @@ class Mission:
         self.end = None if end is None else _position("end", end)
         self.spacing, self.relearn_every, self.seed = float(spacing), relearn_every, seed
         self.options = OPTIONS if options is None else options
+        self.goal = _goal(goal)
         self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
         self._medians = self.hyperparameters
         self._log_prior: LogPrior | None = None
@@ -129,7 +136,7 @@ class Mission:
             key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
             self.route = plan_route(
                 self.posterior(), self.area, left, entry, self.end, earlier, key,
-                spacing=self.spacing, options=self.options,
+                spacing=self.spacing, weight=self.weights, target=self.goal.region, options=self.options,
             )  # fmt: skip
         route = self.route.waypoints
         return route if to_entry > 0.0 else route[1:]
@@ -229,12 +236,20 @@ class Mission:
             deviation = np.sqrt(np.asarray(variance))
         return self._shift + self._scale * np.asarray(mean), self._scale * deviation
 
+    def weights(self, points: Any) -> np.ndarray:
+        """Weights `[M]` of points `[M, 2]` in the error that a plan minimises."""
+        if not (self.goal.needs_values and self.num_measurements):
+            return np.ones(len(points))
+        return self.goal.weights(*self.predict(points))
+
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
         plain = {name: getattr(self, name) for name in _PLAIN}
         plain["counts"], plain["options"] = dict(self.counts), dataclasses.asdict(self.options)
+        region = () if self.goal.region is None else self.goal.region.outline
+        plain["goal"] = self.goal.kind, self.goal.threshold, len(region)
         plain["rings"] = [len(zone) for zone in (self.area.outline, *self.area.avoid)]
-        rings = [ring for zone in (self.area.outline, *self.area.avoid) for ring in zone]
+        rings = [ring for zone in (self.area.outline, *self.area.avoid) for ring in zone] + list(region)
         arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
         arrays |= {"x": self._x, "y": self._y, "position": self.position}
         arrays |= {"end": NOTHING if self.end is None else self.end}
@@ -255,11 +270,15 @@ class Mission:
             plain = json.loads(str(data["plain"]))
             options = plain.pop("options")
             options["stretch"] = tuple(options["stretch"])
-            rings = iter([data[f"ring_{index}"] for index in range(sum(plain["rings"]))])
+            kind, threshold, of_region = plain.pop("goal", ("map", np.nan, 0))
+            number = sum(plain["rings"]) + of_region
+            rings = iter([data[f"ring_{index}"] for index in range(number)])
             zones = [tuple(next(rings) for _ in range(number)) for number in plain.pop("rings")]
             end = data["end"] if data["end"].size else None
             area = Area(zones[0], tuple(zones[1:]))
+            region = Area(tuple(rings)) if of_region else None
             mission = cls(area, 1.0, data["position"], end, spacing=1.0, options=RouteOptions(**options))
+            mission.goal = Goal(kind, threshold, region)
             mission.counts = Counter(plain.pop("counts"))
             mission._x, mission._y = data["x"], data["y"]
             for name in _PLAIN:
@@ -317,6 +336,15 @@ def _model(hyperparameters: tuple[float, float, float]) -> tuple[Scaled, jax.Arr
     """Kernel and noise variance."""
     lengthscale, variance, noise = (jnp.asarray(value, jnp.float64) for value in hyperparameters)
     return Scaled(Matern52(lengthscale), variance), noise
+
+
+def _goal(given: str | Area) -> Goal:
+    if isinstance(given, Area):
+        return Goal("region", region=given)
+    kind, argument = parse_goal(given) if isinstance(given, str) else ("region", "")
+    if kind == "region":
+        raise ValueError(f"goal: got {given}; allowed: map, hotspots, threshold=V or an Area")
+    return Goal(kind, float(argument) if argument else np.nan)
 
 
 def _position(name: str, at: Any) -> Waypoints:

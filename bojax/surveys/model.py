@@ -14,10 +14,14 @@ from bojax.fields.raster_files import read_raster
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
+from bojax.models.means import ConstantMean
 from bojax.surveys.place import MOST_CELLS, Place
 
 MOST_POINTS = 200
 """Points of an earlier survey that the model is learned from."""
+
+MOST_SEEN = 1000
+"""Points of an earlier survey that the weights of a goal are computed from."""
 
 NOISE = 0.1  # standard deviation of the noise of a measurement, as a share of that of the field
 
@@ -31,17 +35,35 @@ class FieldModel:
         std: Standard deviation of the field around its mean.
         noise: Standard deviation of the noise of a measurement.
         source: Where the numbers come from, for the report.
+        mean: Mean of the field.
+        seen: Points `[N, 2]`, m, and values `[N]` of the earlier survey; None without one.
     """
 
     lengthscale: float
     std: float
     noise: float
     source: str
+    mean: float = 0.0
+    seen: tuple[np.ndarray, np.ndarray] | None = None
 
     def belief(self) -> GaussianProcess:
         """The belief about the field before the survey; inputs are in metres."""
-        kernel = Scaled(Matern52(jnp.asarray(self.lengthscale)), jnp.asarray(self.std**2))
-        return GaussianProcess.prior(kernel, jnp.asarray(self.noise**2), 1, 2)
+        return GaussianProcess.prior(self._kernel, jnp.asarray(self.noise**2), 1, 2)
+
+    def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation `[M]` of the field at points `[M, 2]`, given the earlier survey."""
+        if self.seen is None:
+            return np.full(len(points), self.mean), np.full(len(points), self.std)
+        x, y = self.seen
+        posterior = GaussianProcess.fit(
+            self._kernel, jnp.asarray(self.noise**2), jnp.asarray(x), jnp.asarray(y - self.mean)
+        )
+        mean, variance = posterior.predict(jnp.asarray(points))
+        return self.mean + np.asarray(mean), np.sqrt(np.asarray(variance))
+
+    @property
+    def _kernel(self) -> Scaled:
+        return Scaled(Matern52(jnp.asarray(self.lengthscale)), jnp.asarray(self.std**2))
 
 
 def assumed_model(size: float, lengthscale: float | None) -> FieldModel:
@@ -68,8 +90,9 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     points, values = _read_values(file, place)
     if len(values) < 10:
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
-    chosen = np.random.default_rng(0).permutation(len(values))[:MOST_POINTS]
-    points, values = points[chosen], values[chosen]
+    chosen = np.random.default_rng(0).permutation(len(values))[:MOST_SEEN]
+    seen = points[chosen], values[chosen]
+    points, values = (each[:MOST_POINTS] for each in seen)
     scale = float(values.std())
     if scale <= 1e-12 * np.abs(values).max() or scale == 0.0:
         raise ValueError(f"{file}: all values are {values[0]:g}; allowed: values that differ")
@@ -87,9 +110,11 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     )
     assert isinstance(learned.kernel, Scaled) and isinstance(learned.kernel.kernel, Matern52)
     found = float(learned.kernel.kernel.lengthscale)
+    assert isinstance(learned.mean, ConstantMean)
+    mean = float(values.mean()) + scale * float(learned.mean.value)
     std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
     source = f"learned from {len(values)} values of {Path(file).name}"
-    return FieldModel(lengthscale or found, std, noise, source)
+    return FieldModel(lengthscale or found, std, noise, source, mean, seen)
 
 
 def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray]:

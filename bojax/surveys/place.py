@@ -79,16 +79,7 @@ class Place:
         Raises:
             ValueError: The file cannot be read, has another system, or nothing of the area is left.
         """
-        try:
-            if Path(file).suffix.lower() in polygons.SUFFIXES:
-                read = polygons.read_polygons(file)
-                zones = _moved(read.shape, lambda points: self.projection.from_other(points, read.crs))
-            else:
-                raster = read_raster(file, MOST_CELLS)
-                shape = _shape_of(raster, ~raster.is_hole)
-                zones = _moved(shape, lambda points: self.projection.from_other(points, raster.crs))
-        except ValueError as error:
-            raise ValueError(_after(file, error)) from error
+        zones = self._read_shape(file)
         shape = to_shape(self.area)
         left = shapely_module().difference(shape, zones)
         if left.area <= 1e-9 * shape.area:
@@ -96,6 +87,30 @@ class Place:
         reduced = replace(self, area=to_area(left))
         is_apart = left.area >= (1.0 - 1e-12) * shape.area
         return reduced.noted(f"{file}: no part of it is in the area.") if is_apart else reduced
+
+    def region(self, file: str) -> Area:
+        """The part of the place inside the polygons in a file, or where a raster has data.
+
+        Raises:
+            ValueError: The file cannot be read, has another system, or no part of it is in the area.
+        """
+        shape = to_shape(self.area)
+        inside = shapely_module().intersection(shape, self._read_shape(file))
+        if inside.area <= 1e-9 * shape.area:
+            raise ValueError(f"{file}: no part of it is in the area")
+        return to_area(inside)
+
+    def _read_shape(self, file: str) -> "BaseGeometry":
+        """The polygons in a file, or the cells with data of a raster, in the frame of the place."""
+        try:
+            if Path(file).suffix.lower() in polygons.SUFFIXES:
+                read = polygons.read_polygons(file)
+                return _moved(read.shape, lambda points: self.projection.from_other(points, read.crs))
+            raster = read_raster(file, MOST_CELLS)
+            shape = _shape_of(raster, ~raster.is_hole)
+            return _moved(shape, lambda points: self.projection.from_other(points, raster.crs))
+        except ValueError as error:
+            raise ValueError(_after(file, error)) from error
 
 
 def read_place(area: str, below: float | None = None) -> Place:

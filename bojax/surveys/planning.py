@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.area import Area
+from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
 from bojax.surveys.lawnmower import (
     DIRECTIONS,
@@ -20,7 +20,7 @@ from bojax.surveys.lawnmower import (
 from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import RouteOptions, plan_route
-from bojax.surveys.shapes import to_shape
+from bojax.surveys.shapes import shapely_module, to_shape
 
 GRID_POINTS = 1500
 """Number of points at which the error counts."""
@@ -44,7 +44,7 @@ class Candidate:
         detail: What distinguishes it from others of its method.
         waypoints: `[W, 2]`, m.
         distances: Distances from the start, m; 0 first.
-        errors: Mean standard deviation over the area after the measurements up to each distance.
+        errors: Mean standard deviation, weighted by the goal, after the measurements up to each distance.
     """
 
     method: str
@@ -80,6 +80,7 @@ class Demand:
         spacing: Least distance between two lines, m; None for none with a budget, and for the lengthscale of
             the model without.
         sampling: Distance between two measurements, m; None for a fifth of the lengthscale.
+        goal: What the survey is for.
     """
 
     budget: float | None = None
@@ -87,6 +88,7 @@ class Demand:
     end: np.ndarray | None = None
     spacing: float | None = None
     sampling: float | None = None
+    goal: Goal = field(default_factory=Goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +99,7 @@ class Survey:
         candidates: All routes, the one that leaves the least error first.
         grid: Points at which the error counts, `[M, 2]`, m.
         grid_spacing: Distance between two of them, m.
+        weights: Their weights in the error.
         before: Standard deviation at each before the survey.
         after: The same after the first candidate.
         sampling: Distance between two measurements, m.
@@ -107,6 +110,7 @@ class Survey:
     candidates: tuple[Candidate, ...]
     grid: np.ndarray
     grid_spacing: float
+    weights: np.ndarray
     before: np.ndarray
     after: np.ndarray
     sampling: float
@@ -143,25 +147,33 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     ground = Ground.of(area, known_end)
     if demand.budget is not None:
         check_budget(ground, demand.budget, demand.start, demand.end)
-    routes, lines = _lawnmowers(ground, model, demand)
-    part = Area(tuple(ground.rings))
-    spacing = math.sqrt(ground.size / GRID_POINTS)
-    belief, grid = model.belief(), part.grid(spacing)
+    part, goal = Area(tuple(ground.rings)), demand.goal
+    counting = ground if goal.region is None else _within(ground, goal.region)
+    routes, lines = _lawnmowers(counting, model, demand)
+    if goal.region is not None:
+        routes = [(f"{detail}, over the region", route) for detail, route in routes]
+        if demand.budget is not None:
+            routes += _lawnmowers(ground, model, demand)[0]
+    spacing = math.sqrt(counting.size / GRID_POINTS)
+    belief, grid = model.belief(), Area(tuple(counting.rings)).grid(spacing)
+    weights = goal.weights(*model.predict(grid))
     longest = max(length_of(route) for _, route in routes)
     sampling = demand.sampling or model.lengthscale / 5.0
-    outcomes = _Outcomes(PointErrors.of(belief, jnp.asarray(grid)), sampling, demand.budget or longest)
+    errors = PointErrors.of(belief, jnp.asarray(grid), jnp.asarray(weights))
+    outcomes = _Outcomes(errors, sampling, demand.budget or longest)
     found = [outcomes.of("lawnmower", detail, route) for detail, route in routes]
     # Without a budget every candidate covers the area: the shortest one is the best.
     found.sort(key=lambda each: each[0].length if demand.budget is None else each[0].error)
     if optimises and demand.budget is not None:
         guesses = [candidate for candidate, _ in found[:NUM_GUESSES]]
-        if route := _optimised(belief, part, demand, guesses, min(sampling, demand.budget)):
+        if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget)):
             found.append(outcomes.of("route", *route))
             found.sort(key=lambda each: each[0].error)
     return Survey(
         candidates=tuple(candidate for candidate, _ in found),
         grid=grid,
         grid_spacing=spacing,
+        weights=weights / weights.mean(),
         before=np.sqrt(np.asarray(outcomes.errors.variance)),
         after=np.sqrt(np.maximum(found[0][1], 0.0)),
         sampling=sampling,
@@ -171,7 +183,7 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
 
 
 def _optimised(
-    belief: GaussianProcess, area: Area, demand: Demand, guesses: Sequence[Candidate], sampling: float
+    model: FieldModel, area: Area, demand: Demand, guesses: Sequence[Candidate], sampling: float
 ) -> tuple[str, np.ndarray] | None:
     """The route that `plan_route` finds, with its origin; None if it prefers one of the guesses."""
     assert demand.budget is not None
@@ -179,16 +191,30 @@ def _optimised(
     # Multiples of 16, since each number of waypoints compiles a program of its own.
     options = RouteOptions(waypoints=int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS)))
     route = plan_route(
-        belief,
+        model.belief(),
         area,
         demand.budget,
         demand.start,
         demand.end,
         {guess.name: guess.waypoints for guess in guesses},
         spacing=sampling,
+        weight=lambda points: demand.goal.weights(*model.predict(points)),
+        target=demand.goal.region,
         options=options,
     )
     return None if any(route.chosen == guess.name for guess in guesses) else (route.chosen, route.waypoints)
+
+
+def _within(ground: Ground, region: Area) -> Ground:
+    """The part of the ground in a region, with the transfers of the whole ground.
+
+    Raises:
+        ValueError: No part of the region is in the ground.
+    """
+    shape = shapely_module().intersection(ground.shape, to_shape(region))
+    if shape.area <= 1e-9 * ground.size:
+        raise ValueError("region: no part of it is in the part of the area that is surveyed")
+    return Ground(shape, ground.transfers)
 
 
 class _Outcomes:

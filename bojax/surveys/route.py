@@ -79,6 +79,7 @@ def plan_route(
     *,
     spacing: float,
     weight: Any = None,
+    target: Area | None = None,
     options: RouteOptions | None = None,
 ) -> Route:
     """The route of least expected error over an area, with a length of at most the budget.
@@ -98,11 +99,12 @@ def plan_route(
         key: Random key of the tours.
         spacing: Distance between two measurements, m.
         weight: Function of points `[M, 2]` that gives their weights in the error; all alike by default.
+        target: Part of the area where the error counts; the whole area by default.
         options: Options of the optimiser.
 
     Raises:
-        ValueError: A number is out of range, an end lies outside the area, the budget does not reach from
-            start to end, or no candidate stays in the area within the budget.
+        ValueError: A number is out of range, an end or the target lies outside the area, the budget
+            does not reach from start to end, or no candidate stays in the area within the budget.
     """
     options = RouteOptions() if options is None else options
     dtype = posterior.y.dtype
@@ -111,7 +113,7 @@ def plan_route(
     key = jax.random.key(0) if key is None else key
     random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     given = {name: fitted(guess, budget, start, end) for name, guess in (first_guesses or {}).items()}
-    points, scored = (spread_points(area, number) for number in (NUM_GRID, NUM_SCORED))
+    points, scored = (_counting(area, target, number) for number in (NUM_GRID, NUM_SCORED))
     guesses = given | _own_guesses(points, budget, start, end, options.restarts - len(given), random)
 
     maps = jnp.asarray(plausible_maps(options), dtype)
@@ -177,6 +179,17 @@ def spread_points(area: Area, number: int) -> Waypoints:
     spacing = _extent(area) / 40
     share = len(area.grid(spacing)) / number
     return area.grid(spacing * share**0.5)
+
+
+def _counting(area: Area, target: Area | None, number: int) -> Waypoints:
+    """About `number` points `[M, 2]` of the area in its target, m."""
+    if target is None:
+        return spread_points(area, number)
+    points = spread_points(target, number)
+    points = points[area.contains(points)]
+    if not len(points):
+        raise ValueError("target: no part of it lies in the area")
+    return points
 
 
 def plausible_maps(options: RouteOptions) -> np.ndarray:

@@ -92,6 +92,44 @@ def test_an_ascii_raster_is_covered(tmp_path):
     assert shapely.distance(line, shapely.points(cells)).max() < 10.0
 
 
+def goal_survey(out, *words) -> dict:
+    assert main(["survey", "300x200", "--budget", "600", *words, "--out", str(out)]) == 0
+    return json.loads((out / "survey.json").read_text())
+
+
+def test_a_region_counts_alone(tmp_path):
+    corners = [[200, 100], [300, 100], [300, 300], [200, 300], [200, 100]]
+    (tmp_path / "part.geojson").write_text(geojson(corners, crs=None))
+    out = tmp_path / "out"
+    survey = goal_survey(out, "--goal", f"region={tmp_path / 'part.geojson'}")
+    with np.load(out / "survey.npz") as arrays:
+        assert arrays["grid"].min(0)[0] > 200.0 and arrays["grid"].min(0)[1] > 100.0
+    middle = np.median(route_in(out), axis=0)
+    assert middle[0] > 200.0 and middle[1] > 100.0
+    assert any(each["detail"].endswith("over the region") for each in survey["candidates"])
+    assert survey["goal"]["meaning"] == "over the region"
+
+
+def test_a_threshold_weighs_places_by_an_earlier_survey(tmp_path):
+    x, y = np.random.default_rng(1).uniform(0.0, 1.0, (2, 200)) * [[300.0], [200.0]]
+    rows = "\n".join(f"{a},{b},{a / 10.0 + np.sin(b / 30.0)}" for a, b in zip(x, y, strict=True))
+    (tmp_path / "pilot.csv").write_text("x,y,z\n" + rows)
+    out = tmp_path / "out"
+    goal_survey(out, "--goal", "threshold=5", "--prior", str(tmp_path / "pilot.csv"))
+    with np.load(out / "survey.npz") as arrays:
+        weights, across = arrays["weights"], arrays["grid"][:, 0]
+    assert weights.mean() == pytest.approx(1.0)
+    assert np.average(across, weights=weights) == pytest.approx(50.0, abs=15.0)  # where the field is 5
+    assert weights[across > 150.0].max() == 0.0
+    assert (out / "figures" / "goal.png").is_file()
+
+
+def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):
+    survey = goal_survey(tmp_path / "out", "--goal", "hotspots", "--lawnmower")
+    assert "note: All places count alike: without --prior," in capsys.readouterr().out
+    assert any("All places count alike" in text for text in survey["settings"].values())
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -112,6 +150,9 @@ def test_an_ascii_raster_is_covered(tmp_path):
             "budget: got 50 m, but the shortest way",
         ),
         (["100x100", "--below", "0"], "100x100: has no values; allowed with --below: a raster"),
+        (["100x100", "--goal", "depth"], "--goal: got depth; allowed: map, hotspots, threshold=V or region="),
+        (["100x100", "--goal", "threshold=deep"], "--goal: got threshold=deep; allowed: threshold=V, where"),
+        (["100x100", "--goal", "region=no.kml"], "no.kml: No such file or directory"),
         (["no.tif"], "no.tif: No such file or directory"),
         (["100x100", "--prior", "no.csv"], "no.csv: No such file or directory"),
         (["100x100", "--avoid", "no.kml"], "no.kml: No such file or directory"),

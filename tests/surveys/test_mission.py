@@ -150,3 +150,37 @@ def test_a_damaged_file_is_one_line(tmp_path):
 def test_bad_input_is_one_line(change, message):
     with pytest.raises(ValueError, match=message):
         mission(**change)
+
+
+@pytest.mark.parametrize("goal", ["hotspots", "threshold=110", Area.rectangle(3.0, 3.0, 6.0, 6.0)])
+def test_a_goal_is_kept_and_weighs_what_was_seen(tmp_path, goal):
+    survey = mission(goal=goal)
+    points = SQUARE.grid(0.5)
+    assert np.ptp(survey.weights(points)) == 0.0
+    drive(survey, survey.plan(), 6.0)
+    survey.relearn()
+    weights = survey.weights(points)
+    if isinstance(goal, Area):
+        assert survey.goal.region is goal
+    else:
+        assert np.ptp(weights) > 0.0
+    survey.save(tmp_path / "mission.npz")
+    other = Mission.load(tmp_path / "mission.npz")
+    np.testing.assert_array_equal(other.weights(points), weights)
+    np.testing.assert_array_equal(other.plan(), survey.plan())
+
+
+def test_a_region_is_where_the_route_goes():
+    route = mission(goal=Area.rectangle(3.0, 3.0, 6.0, 6.0)).plan()
+    assert np.median(route, axis=0).min() > 3.0
+
+
+@pytest.mark.parametrize("goal", ["depth", "region=a.kml", "threshold=", 3])
+def test_an_unknown_goal_is_refused(goal):
+    with pytest.raises(ValueError, match="allowed: "):
+        mission(goal=goal)
+
+
+def test_a_region_must_be_in_the_area():
+    with pytest.raises(ValueError, match="target: no part of it lies in the area"):
+        mission(goal=Area.rectangle(10.0, 10.0, 12.0, 12.0)).plan()

@@ -1,0 +1,46 @@
+"""Weights of goals: a region, places near a threshold, and places that may be among the highest."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from bojax.surveys.goals import HIGHEST, Goal, parse_goal
+
+
+def test_hot_spots_are_weighted_by_the_probability_of_being_among_the_highest():
+    random = np.random.default_rng(0)
+    mean, deviation = random.normal(size=500), random.uniform(0.1, 1.0, 500)
+    weights = Goal("hotspots").weights(mean, deviation)
+    assert weights.mean() == pytest.approx(HIGHEST)
+    # Each weight is P(f > level) of one common level.
+    levels = mean - deviation * norm.ppf(weights)
+    np.testing.assert_allclose(levels, levels[0], rtol=1e-6)
+    assert np.corrcoef(weights, mean)[0, 1] > 0.5
+
+
+def test_known_hot_spots_are_the_highest_tenth():
+    mean = np.arange(100.0)
+    np.testing.assert_allclose(Goal("hotspots").weights(mean, np.full(100, 1e-3)), mean >= 90.0, atol=1e-6)
+
+
+def test_a_threshold_is_weighted_by_the_straddle():
+    mean, deviation = np.array([0.0, 4.0, 5.0, 9.0]), np.array([1.0, 1.0, 0.5, 3.0])
+    expected = [0.0, 1.96 - 1.0, 1.96 * 0.5, 1.96 * 3.0 - 4.0]
+    np.testing.assert_allclose(Goal("threshold", threshold=5.0).weights(mean, deviation), expected)
+
+
+@pytest.mark.parametrize(
+    "goal", [Goal("hotspots"), Goal("threshold", threshold=0.3), Goal("threshold", 99.0)]
+)
+def test_weights_are_even_without_knowledge(goal):
+    weights = goal.weights(np.zeros(20), np.ones(20))
+    assert np.ptp(weights) == 0.0 and weights[0] > 0.0
+
+
+def test_goals_are_parsed():
+    assert parse_goal("map") == ("map", "")
+    assert parse_goal("threshold=-2.5") == ("threshold", "-2.5")
+    assert parse_goal("region=a=b.geojson") == ("region", "a=b.geojson")
+    for text in ("maps", "threshold", "threshold=", "threshold=deep", "threshold=nan", "region=", "map=1"):
+        with pytest.raises(ValueError, match=r"^got .*; allowed: "):
+            parse_goal(text)
