@@ -9,8 +9,11 @@ _DESCRIPTION = """\
 Compare finished results on one page: curves with bands, final scores with intervals, probabilities of
 improvement, and the settings that differ. Runs of the same seed are paired by their index.
 
-A CSV file has one row per value and the columns label, run, x, value: x is the number of the episode, or the
-number of steps so far with --x step and in planning.
+--csv reads curves as other libraries write them: monitor.csv, progress.csv and evaluations.npz of
+Stable-Baselines3, CSV exports of Weights & Biases, folders with event files of TensorBoard, score matrices as
+rliable takes them (.npz). Runs whose names end in a number, as ppo-seed-0, are runs of one method; NAME=PATH
+gives all runs of a path one name. Any other CSV file has one row per value and the columns label, run, x,
+value: x is the number of the episode, or the number of steps so far with --x step and in planning.
 
 Scores are taken at the largest step or episode that all methods have, or at --at STEP. A run that its
 success ended keeps its last value; the page names runs that were cut off.
@@ -19,6 +22,8 @@ success ended keeps its last value; the page names runs that were cut off.
 _EXAMPLES = """\
   bojax compare results/a results/b                      two results folders
   bojax compare results/a --csv dqn.csv --x step         with curves of another library, by environment step
+  bojax compare results/a --csv logs/ppo_1 logs/ppo_2    with two runs of Stable-Baselines3
+  bojax compare --csv runs --metric losses/value_loss    TensorBoard folders, by another tag
   bojax compare results/a results/b --metric=-rmse       another score; a minus sign: less is better
 """
 
@@ -38,7 +43,9 @@ def main(name: str, words: Sequence[str]) -> int:
 
     out = args.out or dated_folder(name)
     require_empty(out)
-    values = {option: getattr(args, option) for option in ("metric", "phase", "last", "at", "reference")}
+    values = {
+        option: getattr(args, option) for option in ("metric", "phase", "last", "at", "reference", "column")
+    }
     command = shlex.join(["bojax", name, *words])
     print(compare(args.folders, args.csv, out, axis=args.x, command=command, **values))
     return 0
@@ -47,16 +54,26 @@ def main(name: str, words: Sequence[str]) -> int:
 def _parser(name: str) -> Parser:
     parser = Parser(
         name,
-        "DIR... [--csv FILE ...] [--metric COLUMN] [--x AXIS] [--phase PHASE]\n"
-        "                     [--last N] [--at STEP] [--reference NAME] [--out DIR]",
+        "DIR... [--csv PATH ...] [--metric COLUMN] [--column NAME] [--x AXIS]\n"
+        "                     [--phase PHASE] [--last N] [--at STEP] [--reference NAME] [--out DIR]",
         _DESCRIPTION,
         _EXAMPLES,
     )
     parser.option("folders", "DIR", "results folders", path, nargs="*")
-    parser.option("--csv", "FILE", "curves in CSV files", path, nargs="+", action="extend", default=[])
+    parser.option(
+        "--csv",
+        "PATH",
+        "curves of other libraries, files or folders",
+        path,
+        nargs="+",
+        action="extend",
+        default=[],
+    )
     metric = "column of episodes.parquet or runs.parquet, with a minus sign if less is better (default: "
     parser.option("--metric", "COLUMN", f"{metric}return; accumulated_reward in planning)", column)
-    axis = "axis of curves: episode or step (default: episode; step in planning)"
+    of_logs = "column or tag in logs of other libraries (default: the one that corresponds to the metric)"
+    parser.option("--column", "NAME", of_logs, column)
+    axis = "axis of curves: episode or step (default: episode; step in planning and with logs)"
     parser.option("--x", "AXIS", axis, one_of(("episode", "step")))
     phase = "phase of the episodes whose curves are drawn: train or test (default: train)"
     parser.option("--phase", "PHASE", phase, one_of(("train", "test")), default="train")

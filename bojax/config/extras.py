@@ -4,7 +4,7 @@ OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
     "geo": ("rasterio", "GeoTIFF, NetCDF, map projections and bojax survey"),
     "ray": ("ray", "--launcher ray"),
-    "tensorboard": ("tensorboardX", "bojax export --to tensorboard"),
+    "tensorboard": ("tensorboardX", "bojax export --to tensorboard, event files in bojax compare"),
     "wandb": ("wandb", "bojax export --to wandb"),
     "mlflow": ("mlflow", "bojax export --to mlflow"),
 }

@@ -535,7 +535,10 @@ class TestMistakes:
             (["nowhere"], "nowhere: no such results folder"),
             (["empty"], "empty: not a results folder"),
             (["car", "--csv", "nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
-            (["car", "--csv", "empty"], "empty: cannot be read: Is a directory"),
+            (
+                ["car", "--csv", "empty"],
+                "empty: has no curves; allowed: a folder with *monitor.csv, progress.csv, evaluations.npz or",
+            ),
             (["car", "parking"], "parking: got results of planning, car has results of learning; allowed"),
             (
                 ["car", "newer"],

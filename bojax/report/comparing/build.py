@@ -1,4 +1,4 @@
-"""Builds a comparison: reads folders and CSV files, draws the figures and writes `comparison.html`."""
+"""Builds a comparison: reads folders and other curves, draws the figures and writes `comparison.html`."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -9,6 +9,7 @@ import numpy as np
 
 from bojax.report import statistics, style
 from bojax.report.comparing import tables
+from bojax.report.comparing.logs.opening import opened
 from bojax.report.comparing.methods import (
     Axis,
     Measure,
@@ -42,17 +43,20 @@ def compare(
     last: int | None = None,
     at: int | None = None,
     reference: str | None = None,
+    column: str | None = None,
     command: str = "",
 ) -> Path:
     """Write a comparison into the folder `out`, which is made, and return `comparison.html`.
 
-    Nothing is written before everything is ready. The files are CSV; the options are those of the command:
-    `metric` is a column, with a minus sign if less is better, `last` the number of the last values of a run
-    whose mean is its score, and `at` the step or episode up to which they are taken.
+    Nothing is written before everything is ready. The files are CSV, or files and folders as other libraries
+    write them. The options are those of the command: `metric` is a column, with a minus sign if less is
+    better, `last` the number of the last values of a run whose mean is its score, `at` the step or episode up
+    to which they are taken, and `column` the column of logs of other libraries.
     """
-    results = [load(folder) for folder in folders]
-    measure = measured_by(results, metric, axis, phase, last, at)
-    methods = methods_of(results, files, measure)
+    results, sources = [load(folder) for folder in folders], [opened(path) for path in files]
+    has_logs = any(each.logs for each in sources)
+    measure = measured_by(results, metric, axis, phase, last, at, has_logs=has_logs, log_column=column)
+    methods = methods_of(results, sources, measure)
     tasks = tasks_of(methods, measure, reference)
     images, sections = {}, []
     with style.settings():

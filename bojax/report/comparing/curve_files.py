@@ -35,6 +35,8 @@ class Rows:
     label: str
     task: str  # empty if the file has no such column
     runs: dict[int, tuple[Floats, Floats]]  # x, ascending, and value of each run
+    has_curve: bool = True  # False of scores, one value per run
+    column: str = ""  # the column of a log that the values are from
 
 
 def read_curves(path: Path) -> list[Rows]:
@@ -47,14 +49,23 @@ def read_curves(path: Path) -> list[Rows]:
             or two rows have the same label, run and x; one line.
     """
     try:
-        text = read_within(TEXT, path, str(path)).decode("utf-8-sig")
-        return _parsed(path, csv.reader(io.StringIO(text, newline=""), strict=True))
+        return _parsed(path, csv.reader(io.StringIO(text_of(path), newline=""), strict=True))
+    except csv.Error as error:
+        raise ResultsError(f"{path}: cannot be read ({error}); allowed: CSV") from None
+
+
+def text_of(path: Path) -> str:
+    """The content of a file.
+
+    Raises:
+        ResultsError: The file cannot be read, or is not in UTF-8.
+    """
+    try:
+        return read_within(TEXT, path, str(path)).decode("utf-8-sig")
     except ConfigError:
         raise
     except UnicodeDecodeError:
         raise ResultsError(f"{path}: cannot be read; allowed: CSV in UTF-8") from None
-    except csv.Error as error:
-        raise ResultsError(f"{path}: cannot be read ({error}); allowed: CSV") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ResultsError(f"{path}: cannot be read: {reason}") from None

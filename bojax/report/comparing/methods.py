@@ -1,4 +1,4 @@
-"""The methods of a comparison: points of results folders and labels of CSV files."""
+"""The methods of a comparison: points of results folders, labels of CSV files, logs of other libraries."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,9 @@ from bojax.config.errors import allowed_names
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
 from bojax.report.budgets import Series, budget_of, common_budget, times_within
-from bojax.report.comparing.curve_files import Rows, read_curves
+from bojax.report.comparing.curve_files import Rows
+from bojax.report.comparing.logs.methods import rows_of
+from bojax.report.comparing.logs.opening import Source
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
 from bojax.report.ranking import ENDS
@@ -44,6 +46,7 @@ class Measure(ranking.Measure):
     # last one in planning
     last: int | None = None
     at: int | None = None  # budget at which scores are taken; None for the largest that all methods have
+    log_column: str | None = None  # column of the logs of other libraries; None for the one that corresponds
 
     @property
     def end(self) -> str:
@@ -61,14 +64,15 @@ class Method:
     """A setting that is compared with others."""
 
     point: Point  # its name and colour
-    source: Path  # its results folder or CSV file
+    source: Path  # its results folder, or file or folder of another library
     task: str  # the problem or environment; curves and scores of different tasks have different scales
     run: NDArray[np.integer]  # `[runs]` indices
     series: Sequence[Series]  # values of each run
     has_nan: NDArray[np.bool_]  # `[runs]` runs without a score
     has_curve: bool = True  # False of a column with one value per run
-    seed: int | None = None  # None of a CSV file, whose point has no settings
+    seed: int | None = None  # None of other libraries, whose points have no settings
     is_share: bool = False  # whether scores are 0 or 1
+    log_column: str = ""  # column of a log of another library
     # Set by `scored`:
     scores: Floats = field(default_factory=lambda: np.zeros(0))  # `[runs]`
     at: float = 0.0  # the budget at which they are taken
@@ -132,8 +136,14 @@ def measured_by(
     phase: Phase,
     last: int | None,
     at: int | None,
+    *,
+    has_logs: bool = False,
+    log_column: str | None = None,
 ) -> Measure:
-    """What is compared, by the options of `compare`; all folders have to be of one kind of experiment."""
+    """What is compared, by the options of `compare`; all folders have to be of one kind of experiment.
+
+    With logs of other libraries, which count steps, the default axis is the step.
+    """
     kinds: list[Kind] = [kind_of(each) for each in results]
     for each, kind in zip(results, kinds, strict=True):
         if kind != kinds[0]:
@@ -144,34 +154,59 @@ def measured_by(
     kind: Kind = kinds[0] if kinds else "learning"
     if kind == "planning" and axis not in (None, "step"):
         raise ResultsError(f"--x: got {axis}; allowed of planning: step")
-    axis = axis or ("step" if kind == "planning" else "episode")
+    axis = axis or ("step" if kind == "planning" or has_logs else "episode")
     if metric is None:
         metric = PLANNING_CURVE if kind == "planning" else "return"
     if phase == "test":
         for each in results:
             if not each.episodes or not (each.episodes["phase"] == "test").any():
                 raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last, at)
+    return Measure(
+        metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last, at, log_column=log_column
+    )
 
 
-def methods_of(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Method]:
-    """The methods of all folders and CSV files, whose tasks must occur in the folders."""
+def methods_of(results: Sequence[Results], sources: Sequence[Source], measure: Measure) -> list[Method]:
+    """The methods of all folders and of other libraries, whose tasks must occur in the folders."""
     found = [method for each in results for method in of_folder(each, measure)]
     known = list(dict.fromkeys(method.task for method in found))
-    for path in files:
-        rows = read_curves(path)
-        if found and results and not found[0].has_curve:
-            what = f"has curves, but {measure.column} has one value per run"
-            raise ResultsError(f"{path}: {what}; allowed: results folders")
+    for path, rows in _by_path(sources, measure):
+        _check_kind(path, rows, found, measure)
         for task in {each.task for each in rows}:
             if len(known) > 1 and not task:
-                raise ResultsError(f"{path}: no column task; allowed: a task among {', '.join(known)}")
+                lacks = "has no task" if any(each.column for each in rows) else "no column task"
+                raise ResultsError(f"{path}: {lacks}; allowed: a task among {', '.join(known)}")
             if known and task and task not in known:
                 raise ResultsError(f"{path}: task: got {task}{allowed_names(task, known)}")
         found += of_file(path, rows, measure, known[0] if known else "")
     if len(found) < 2:
         raise ResultsError(f"got one curve, {found[0].name}; allowed: two or more")
     return named(found)
+
+
+def _by_path(sources: Sequence[Source], measure: Measure) -> list[tuple[Path, list[Rows]]]:
+    """The rows of each CSV file, then those of each label of all logs together."""
+    logs = [each for source in sources for each in source.logs]
+    if measure.log_column is not None and not logs:
+        raise ResultsError(f"--column: got {measure.log_column}; allowed with logs of other libraries alone")
+    options = (measure.column, measure.phase, measure.axis, measure.log_column)
+    of_logs = [(path, [rows]) for path, rows in rows_of(logs, *options)]
+    return [*((source.path, [*source.rows]) for source in sources if source.rows), *of_logs]
+
+
+def _check_kind(path: Path, rows: Sequence[Rows], others: Sequence[Method], measure: Measure) -> None:
+    """Refuse curves beside columns with one value per run, and scores beside curves."""
+    if not others or rows[0].has_curve == others[0].has_curve:
+        return
+    if rows[0].has_curve:
+        if others[0].seed is None:
+            raise ResultsError(f"{path}: has curves, but {others[0].source} has scores; allowed: one of both")
+        what = f"has curves, but {measure.column} has one value per run"
+        raise ResultsError(f"{path}: {what}; allowed: results folders")
+    raise ResultsError(
+        f"{path}: has one score per run, but {others[0].name} has a curve; allowed: --metric COLUMN with a "
+        "column of runs.parquet, such as last_return"
+    )
 
 
 def kind_of(results: Results) -> Kind:
@@ -256,7 +291,7 @@ def _single_values(results: Results, point: Point, measure: Measure) -> list[Ser
 
 
 def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> list[Method]:
-    """The labels of a CSV file, without scores; those without a task of their own have the given one.
+    """The labels of another library, without scores; those without a task of their own have the given one.
 
     Raises:
         ResultsError: With episodes as the axis, runs of a label have different episodes.
@@ -265,12 +300,16 @@ def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> li
     for number, each in enumerate(rows):
         name = printed(each.label)
         point = Point(number, name, name, name, {}, {}, Unread({}, str(path)), Outline())
-        if measure.axis == "episode":
+        if measure.axis == "episode" and each.has_curve:
             _check_equal_places(path, each)
-        is_final = measure.kind == "planning"
+        is_final = measure.kind == "planning" or not each.has_curve
         series = [Series(x, values, float(x[-1]), is_final) for x, values in each.runs.values()]
         run, has_nan = np.asarray(list(each.runs)), np.zeros(len(series), bool)
-        methods.append(Method(point, path, each.task or task, run, series, has_nan))
+        methods.append(
+            Method(
+                point, path, each.task or task, run, series, has_nan, each.has_curve, log_column=each.column
+            )
+        )
     return methods
 
 

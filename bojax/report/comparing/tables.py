@@ -185,7 +185,7 @@ def compiled_apart(results: Sequence[Results]) -> str:
 
 
 def sources(results: Sequence[Results], methods: Sequence[Method]) -> list[tuple[str, str]]:
-    """Provenance of each results folder and CSV file, as path and text."""
+    """Provenance of each results folder and of other libraries, as path and text."""
     rows = []
     for each in results:
         manifest = each.manifest
@@ -200,8 +200,12 @@ def sources(results: Sequence[Results], methods: Sequence[Method]) -> list[tuple
         rows.append((str(each.folder), line(known)))
     folders = {each.folder for each in results}
     for path in dict.fromkeys(each.source for each in methods if each.source not in folders):
-        labels = ", ".join(dict.fromkeys(each.name for each in methods if each.source == path))
-        rows.append((str(path), f"CSV: {labels}"))
+        labels = dict.fromkeys(
+            f"{each.name} ({each.log_column})" if each.log_column else each.name
+            for each in methods
+            if each.source == path
+        )
+        rows.append((str(path), f"curves: {', '.join(labels)}"))
     return rows
 
 
