@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 from matplotlib.figure import Figure
@@ -24,9 +24,12 @@ from bojax.report.figures import draw, ranked
 from bojax.report.page import summary
 from bojax.report.ranking import best_of, config_of, measure_of
 from bojax.report.verdicts import read_claims
-from bojax.results.store import read_manifest, read_table
+from bojax.results.store import LEARNERS, read_manifest, read_table
 from bojax.tuning.page import read_tuning
 from bojax.tuning.ranges import described
+
+if TYPE_CHECKING:
+    from bojax.engine.policies import Policy
 
 _CLAIMS = pa.schema(
     [(name, pa.string()) for name in ("id", "source", "claim", "thesis", "ours")]
@@ -169,6 +172,32 @@ class Results:
             except FigureUnavailable as problem:
                 reason = f"the figure {each} is not drawn: {problem}"
         raise BojaxError(f"{self.folder}: {reason}")
+
+    def policy(self, point: int | str = 0, *, run: int = 0, seed: int = 0) -> "Policy":
+        """What a run has learned, as a function: `action = results.policy()(observation)`.
+
+        Observations and actions are those of the environment, so that the function works in any loop outside
+        of bojax. It needs a learner that was saved, with `record={"learners": True}`. The settings of a saved
+        learner may name modules, which are imported.
+
+        Args:
+            point: Number of the point of a sweep, or its name.
+            run: Index of the run.
+            seed: Seed of the random draws of the policy, which break ties or propose candidate actions.
+
+        Raises:
+            BojaxError: There is no such point, or no learner of the run was saved.
+        """
+        points = self._results.points
+        names = {each.name: each.index for each in points} | {each.index: each.index for each in points}
+        if point not in names:
+            known = [each.name for each in points]
+            raise BojaxError(f"{self.folder}: no point {point}{allowed_names(point, known)}")
+
+        from bojax.engine.policies import saved_policy
+
+        with in_one_line():
+            return saved_policy(self.folder / LEARNERS / str(names[point]), run, seed)
 
     def best(self, by: str | None = None) -> dict[str, Any]:
         """The config of the best point of a sweep, with another seed: `bojax.run(results.best(), runs=200)`.

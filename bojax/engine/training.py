@@ -7,13 +7,10 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import count
 from typing import Any, Literal, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pyarrow as pa
 from rich.console import Console
 from typing_extensions import override
@@ -25,13 +22,13 @@ from bojax.engine.chunks import choose_layout, cut
 from bojax.engine.devices import choose, find_devices, suited, workers_of
 from bojax.engine.execute import execute
 from bojax.engine.groups import static_groups
+from bojax.engine.policies import Policy
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.sinks import MemorySink
 from bojax.engine.storage import MemoryStorage
 from bojax.engine.tasks import GroupTask
 from bojax.envs.base import Env
-from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
 from bojax.learning.base import Learner, LearnerState
 from bojax.learning.schedules import Schedule
@@ -61,25 +58,14 @@ class Training:
     experiment: LearningRun
     learned: LearnerState
 
-    def policy(self, run: int = 0, seed: int = 0) -> Callable[[Any], np.ndarray]:
-        """The policy that a run has learned, without exploration: a NumPy function of the observation.
+    def policy(self, run: int = 0, seed: int = 0) -> Policy:
+        """The policy that a run has learned, without exploration: a function of the observation.
 
         Args:
             run: Index of the run.
             seed: Seed of the random draws of the policy, which break ties or propose candidate actions.
         """
-        state = jax.tree.map(lambda leaf: leaf[run], self.learned)
-        space = self.experiment.env.observation_space
-        dtype = space.low.dtype if isinstance(space, Box) else jnp.int32
-        act = eqx.filter_jit(self.experiment.learner.act)
-        exploiting, key, numbers = self.experiment.exploiting, jax.random.key(seed), count()
-
-        def choose(observation: Any) -> np.ndarray:
-            seen = jnp.asarray(observation, dtype)
-            seen = seen.ravel() if isinstance(space, Box) else seen
-            return np.asarray(act(jax.random.fold_in(key, next(numbers)), state, seen, exploiting)[0])
-
-        return choose
+        return Policy(self.experiment, jax.tree.map(lambda leaf: leaf[run], self.learned), seed)
 
 
 def train(

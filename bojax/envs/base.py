@@ -6,6 +6,7 @@ from typing import Any, ClassVar, TypeAlias
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Key
 
+from bojax.envs.adapter import Adapter
 from bojax.envs.spaces import Space
 
 EnvState: TypeAlias = Any
@@ -66,6 +67,10 @@ class Env(eqx.Module):
         environment, so the state must contain these properties.
         """
         return self
+
+    def adapter(self) -> Adapter:
+        """The conversion of single observations and actions from and to those that users of it have."""
+        return Adapter(self.observation_space, self.action_space)
 
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> EnvState:
