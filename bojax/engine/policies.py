@@ -17,6 +17,7 @@ from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
 from bojax.experiments.settings import Learning
 from bojax.learning.base import LearnerState
+from bojax.numerics.trial import Misfit
 from bojax.results.store import ResultsError
 
 
@@ -66,7 +67,10 @@ class Policy:
         Raises:
             ValueError: The observation does not fit the space of observations.
         """
-        seen = self._adapter.observation(observation)
+        try:
+            seen = self._adapter.observation(observation)
+        except Misfit as error:
+            raise ValueError(str(error)) from None
         with on_cpu(), jax.enable_x64(True):
             action, expected = jax.device_get(
                 self._act(jnp.asarray(next(self._numbers), jnp.int32), jnp.asarray(seen, self._dtype))

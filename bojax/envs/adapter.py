@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from bojax.envs.spaces import Box, Discrete, Space
+from bojax.numerics.trial import Misfit
 
 
 class Adapter:
@@ -24,23 +25,23 @@ class Adapter:
         """The vector, or the integer from 0, of an observation of the environment.
 
         Raises:
-            ValueError: The observation does not fit its space.
+            Misfit: The observation does not fit its space.
         """
         try:
             found = np.asarray(value)
         except ValueError as error:  # nested lists of unequal lengths
-            raise ValueError("the observation is no array") from error
+            raise Misfit("the observation is no array") from error
         space = self.observations
         if found.dtype.kind not in ("iu" if isinstance(space, Discrete) else "biuf"):
             kind = "integers" if isinstance(space, Discrete) else "numbers"
-            raise ValueError(f"the observation has dtype {found.dtype}; allowed: {kind}")
+            raise Misfit(f"the observation has dtype {found.dtype}; allowed: {kind}")
         if isinstance(space, Box):
             if found.size != space.num_dims:
                 allowed = f"{space.num_dims} numbers"
-                raise ValueError(f"the observation has shape {found.shape}; allowed: {allowed}")
+                raise Misfit(f"the observation has shape {found.shape}; allowed: {allowed}")
             return found.ravel()
         if found.shape or not 0 <= found < space.num:
-            raise ValueError(f"the observation is {found}; allowed: an integer from 0 to {space.num - 1}")
+            raise Misfit(f"the observation is {found}; allowed: an integer from 0 to {space.num - 1}")
         return int(found)
 
     def action(self, value: np.ndarray) -> Any:

@@ -1,7 +1,6 @@
 """Gymnasium environments, stepped on the host, for bojax; and environments of bojax for Gymnasium."""
 
 import json
-import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,20 +14,20 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from bojax.config.extras import MissingExtra
+from bojax.envs.adapter import Adapter
 from bojax.envs.base import Env
-from bojax.envs.spaces import Box, Discrete, Space
+from bojax.envs.spaces import Box, Space
 from bojax.numerics.trial import Misfit
-from bojax.text import error_line, one_line
+from bojax.text import error_line
 
 try:
     import gymnasium
     from gymnasium import spaces
+
+    from bojax.envs.gymnasium_spaces import GymnasiumAdapter, from_gymnasium, to_gymnasium
 except ImportError as error:
     raise MissingExtra("gymnasium", "gym") from error
 
-
-_INFINITE = 1e30
-"""Bounds from here on count as infinite, since some environments declare the largest 32-bit number."""
 
 _TRIAL_STEPS = 10
 """Largest number of steps, under random actions, that an environment takes before it is accepted."""
@@ -95,9 +94,9 @@ class GymnasiumEnv(gymnasium.Env):
 class HostEnv(Env):
     """An environment of Gymnasium, which steps on the host as one Python object for each lane.
 
-    Observations with several axes are flattened, and discrete spaces count from 0. As for every environment,
-    the time limit is `max_steps`. Gymnasium's own time limit is removed, so that truncation comes from the
-    environment itself.
+    Observations with several axes or parts are flattened, and discrete spaces count from 0, as
+    `bojax.envs.gymnasium_spaces` says. As for every environment, the time limit is `max_steps`. Gymnasium's
+    own time limit is removed, so that truncation comes from the environment itself.
 
     Settings: `bojax.envs.settings.Gymnasium`.
 
@@ -131,8 +130,8 @@ class HostEnv(Env):
         """Create an environment and check that it matches its declarations.
 
         Raises:
-            ValueError: There is no environment of this id, or it cannot be created; a space is neither a box
-                nor discrete, or has infinite bounds and no others are given; the environment has no time
+            ValueError: There is no environment of this id, or it cannot be created; a space cannot be a
+                vector, or has infinite bounds and no others are given; the environment has no time
                 limit and none is given; a few trial steps fail, or return values that Gymnasium's interface
                 does not allow, that do not fit the declared space, or that are not finite.
         """
@@ -188,6 +187,13 @@ class HostEnv(Env):
         return jnp.zeros_like(terminated)
 
     @override
+    def adapter(self) -> Adapter:
+        made = self._made()
+        found = GymnasiumAdapter((made.observation_space, made.action_space), self.observations, self.actions)
+        made.close()
+        return found
+
+    @override
     def reset(self, key):
         """Not available: the environment is stepped on the host, see `make_vector`.
 
@@ -225,8 +231,7 @@ class Idling(gymnasium.Wrapper):
 
     def __init__(self, env: gymnasium.Env, observations: Space, actions: Space):
         super().__init__(env)
-        self._inner_observation: Any = env.observation_space
-        self._inner_action: Any = env.action_space
+        self._adapter = GymnasiumAdapter((env.observation_space, env.action_space), observations, actions)
         self.observation_space = to_gymnasium(observations)
         self.action_space = to_gymnasium(actions)
         self._last: Any = None
@@ -248,7 +253,7 @@ class Idling(gymnasium.Wrapper):
         """Take a step; after the end of the episode, repeat the last observation."""
         if self._has_ended:
             return self._last, 0.0, False, False, {}
-        result: Any = self.env.step(self._theirs(action))
+        result: Any = self.env.step(self._adapter.action(action))
         if not (isinstance(result, tuple) and len(result) == 5):
             names = "observation, reward, terminated, truncated, info"
             raise self._misfit(f"step returns {_counted(result)}; allowed: 5 ({names})")
@@ -265,94 +270,14 @@ class Idling(gymnasium.Wrapper):
 
     def _plain(self, method: str, observation: Any) -> Any:
         """The observation that a method returned, as an integer from 0 or a vector."""
-        space = self._inner_observation
-        is_discrete = isinstance(space, spaces.Discrete)
-        got = f"{method} returns an observation of"
         try:
-            found = np.asarray(observation)
-        except ValueError as error:  # nested lists of unequal lengths
-            raise self._misfit(f"{method} returns an observation that is no array") from error
-        if found.dtype.kind not in ("iu" if is_discrete else _REAL):
-            allowed = "integers" if is_discrete else "numbers"
-            raise self._misfit(f"{got} dtype {found.dtype}; allowed: {allowed}")
-        if found.shape != space.shape:
-            raise self._misfit(f"{got} shape {found.shape}, not {space.shape}")
-        if not is_discrete:
-            return found.astype(np.float32).ravel()
-        if not space.start <= found < space.start + space.n:
-            last = space.start + space.n - 1
-            raise self._misfit(f"{got} {found}; allowed: {space.start} to {last}")
-        return int(found - space.start)
+            return self._adapter.observation(observation, f"{method} returns")
+        except Misfit as error:
+            raise self._misfit(str(error)) from error
 
     def _misfit(self, message: str) -> Misfit:
         name = self.spec.id if self.spec else type(self.unwrapped).__name__
         return Misfit(f"{name}: {message}")
-
-    def _theirs(self, action: Any) -> Any:
-        space = self._inner_action
-        if isinstance(space, spaces.Discrete):
-            return space.dtype.type(np.clip(action, 0, space.n - 1) + space.start)
-        action = np.asarray(action)
-        if np.issubdtype(space.dtype, np.integer):  # a cast alone would round towards 0
-            action = np.rint(action)
-        return np.clip(action.astype(space.dtype).reshape(space.shape), space.low, space.high)
-
-
-def from_gymnasium(
-    space: gymnasium.Space,
-    what: str,
-    dtype: Any,
-    low: Float[Array, "..."] | None = None,
-    high: Float[Array, "..."] | None = None,
-) -> Space:
-    """Convert a space of Gymnasium; a box with several axes becomes a box of vectors.
-
-    Args:
-        space: The space.
-        what: `"observation"` or `"action"`, for messages.
-        dtype: Precision of the bounds.
-        low: Lower bound instead of the declared one.
-        high: Upper bound instead of the declared one.
-
-    Raises:
-        ValueError: The space is neither a box nor discrete; a bound is infinite or of the wrong size; a lower
-            bound is not below the upper one.
-    """
-    if isinstance(space, spaces.Discrete):
-        return Discrete(int(space.n))
-    if not isinstance(space, spaces.Box):
-        can_be_flat = isinstance(
-            space, spaces.Dict | spaces.Tuple | spaces.MultiDiscrete | spaces.MultiBinary
-        )
-        wrapper = "FlattenObservation" if what == "observation" else "TransformAction"
-        remedy = f"; wrap the environment in gymnasium.wrappers.{wrapper}" if can_be_flat else ""
-        raise ValueError(f"{what} space {one_line(space)} is neither box nor discrete{remedy}")
-    size = math.prod(space.shape)
-    bounds = []
-    for name, declared, given in (("low", space.low, low), ("high", space.high, high)):
-        if given is None:
-            bound = np.asarray(declared, np.float64).ravel()
-        elif given.shape not in ((), (size,)):
-            raise ValueError(f"{name}: got {given.size} numbers; there are {size} in an {what}")
-        else:
-            bound = np.broadcast_to(np.asarray(given, np.float64), (size,))
-        bounds.append(bound)
-    wide = ~(np.abs(bounds) < _INFINITE).all(axis=0)
-    if wide.any():
-        where = ", ".join(map(str, np.flatnonzero(wide)))
-        remedy = "set low and high" if what == "observation" else "an action needs finite ones"
-        raise ValueError(f"{what} space has infinite bounds (component {where}): {remedy}")
-    if not np.all(bounds[0] < bounds[1]):
-        where = ", ".join(map(str, np.flatnonzero(~(bounds[0] < bounds[1]))))
-        raise ValueError(f"{what} space: low is not below high (component {where})")
-    return Box(jnp.asarray(bounds[0], dtype), jnp.asarray(bounds[1], dtype))
-
-
-def to_gymnasium(space: Space) -> gymnasium.Space:
-    """Convert a space of bojax; the bounds of a box become 32-bit numbers."""
-    if isinstance(space, Discrete):
-        return spaces.Discrete(space.num)
-    return spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
 
 
 def _counted(result: Any) -> str:

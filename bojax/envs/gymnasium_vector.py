@@ -12,7 +12,6 @@ from typing_extensions import override
 
 from bojax.config.extras import MissingExtra
 from bojax.envs.base import Action, Env
-from bojax.envs.gymnasium import to_gymnasium
 from bojax.envs.gymnax import Episode, GymnaxEnv
 from bojax.envs.spaces import Box
 
@@ -20,6 +19,8 @@ try:
     import gymnasium
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
+
+    from bojax.envs.gymnasium_spaces import to_gymnasium
 except ImportError as error:
     raise MissingExtra("gymnasium", "gym") from error
 
