@@ -1,8 +1,13 @@
-"""`bojax list`: the names of parts, configs, sweeps and reproductions, and the settings of a part. No JAX."""
+"""`bojax list`: the names of parts, configs, sweeps, reproductions and extras, and the settings of a part.
+
+It imports no JAX.
+"""
 
 import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 from bojax.cli.parser import Parser, UsageError
@@ -10,7 +15,9 @@ from bojax.config.catalog import kinds, roles
 from bojax.config.component import Component
 from bojax.config.describe import settings_of, summary_of
 from bojax.config.errors import MAX_NAMES, ConfigError, allowed_names, escaped, printable
+from bojax.config.extras import OPTIONAL, how_to_install
 from bojax.config.files import available, display
+from bojax.config.sweep import load_config
 from bojax.config.thesis import groups as reproductions
 from bojax.config.yaml_file import read_mapping
 
@@ -18,14 +25,45 @@ _EXAMPLES = """\
   bojax list           all names, with one line each
   bojax list kcbts     the settings of a part, with types, defaults and units
   bojax list planners  the names of one group
+  bojax list fig-5.3   the sweeps that bojax reproduce starts by this name
+  bojax list extras    what needs which package, and whether it is installed
 """
 
 _FILES = ("configs", "sweeps")
 
-_REPRODUCTIONS = "reproductions"
+_REPRODUCTIONS, _EXTRAS = "reproductions", "extras"
 
-Members = Mapping[str, type[Component]] | Mapping[str, Path] | Mapping[str, list[str]]
-"""What a group has, by name: parts, files whose titles are read once they are shown, or several sweeps."""
+_PLACES = {
+    "acquisition": ("planner.acquisition", "parking"),
+    "env": ("env", "mountain-car", "chain"),
+    "exploration-reward": ("learner.exploration_reward", "chain"),
+    "features": ("learner.features", "mountain-car", "chain learner=rff-q"),
+    "field": ("problem.field", "two-pits"),
+    "kernel": ("problem.kernel", "two-pits"),
+    "leaf-value": ("planner.leaf_value", "vdp-tag", "vdp-tag planner=pft-dpw"),
+    "learner": ("learner", "mountain-car", "chain"),
+    "mean": ("problem.mean", "two-pits"),
+    "motions": ("planner.motions", "parking", "two-pits"),
+    "objective": ("planner.objective", "two-pits"),
+    "physics": ("env.physics", "hopper"),
+    "planner": ("planner", "parking", "two-pits", "vdp-tag"),
+    "problem": ("problem", "parking", "two-pits", "vdp-tag"),
+    "proposal": ("planner.proposal", "vdp-tag"),
+    "schedule": ("schedule", "chain"),
+    "sensor": ("problem.sensor", "two-pits"),
+    "vehicle": ("problem.vehicle", "parking", "two-pits"),
+    "widening": ("planner.action_widening", "vdp-tag"),
+}
+"""By role, a setting that takes its parts, and configs: the first that accepts a part is its example."""
+
+Members = (
+    Mapping[str, type[Component]]
+    | Mapping[str, Path]
+    | Mapping[str, list[str]]
+    | Mapping[str, tuple[str, str]]
+)
+"""What a group has, by name: parts, files whose titles are read once they are shown, several sweeps, or the
+module that an extra installs and what needs it."""
 
 
 def main(name: str, words: Sequence[str]) -> int:
@@ -51,6 +89,7 @@ def _groups() -> dict[str, Members]:
     groups: dict[str, Members] = {base.plural: kinds(role) for role, base in roles().items()}
     groups |= {folder: available(folder) for folder in _FILES}
     groups[_REPRODUCTIONS] = reproductions()
+    groups[_EXTRAS] = OPTIONAL
     return {title: members for title, members in groups.items() if members}
 
 
@@ -78,6 +117,8 @@ def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
     if isinstance(sweeps, list):
         names = _indented(", ".join(sweeps))
         blocks.append(f"{name}: the sweeps\n{names}\n  bojax reproduce {name}")
+    if name in OPTIONAL:
+        blocks.append(f"{name}: an extra\n{_indented(_summary(OPTIONAL[name]))}\n  {how_to_install(name)}")
     if not blocks:
         names = {*groups, *(known for members in groups.values() for known in members)}
         raise UsageError(f"unknown name {name}{allowed_names(name, names)}")
@@ -92,14 +133,42 @@ def _part(role: str, schema: type[Component]) -> str:
     table = (
         _table([("setting", "type", "default", "meaning"), *rows]) if rows else "  This part has no settings."
     )
-    return f"{head}\n\n{table}"
+    example = _example(role, schema.model_fields["kind"].default)
+    return f"{head}\n\n{table}" + (f"\n\n  {example}" if example else "")
+
+
+def _example(role: str, kind: str) -> str:
+    """A command that uses a part; empty if no command can, as of a part that needs a file or an id."""
+    if role in ("env", "problem") and kind in available("configs"):
+        return f"bojax run {kind}"
+    key, *configs = _PLACES.get(role, ("",))
+    for config, *settings in map(str.split, configs):
+        words = [*settings, f"{key}={kind}"]
+        with suppress(ConfigError):
+            load_config(config, words)
+            return " ".join(["bojax run", config, *words])
+    return ""
 
 
 def _group(title: str, members: Members) -> str:
-    return f"{title}\n{_table([(name, _summary(member)) for name, member in members.items()])}"
+    table = _table([(name, _summary(member)) for name, member in members.items()])
+    role = next((role for role, base in roles().items() if base.plural == title), "")
+    examples = {
+        "experiments": "bojax run chain",
+        "configs": "bojax run parking",
+        "sweeps": "bojax sweep parking; bojax reproduce takes their names too",
+        _REPRODUCTIONS: "bojax reproduce fig-5.3",
+        _EXTRAS: how_to_install("gym"),
+    }
+    example = examples.get(title) or next(filter(None, (_example(role, kind) for kind in members)), "")
+    return f"{title}\n{table}" + (f"\n  {example}" if example else "")
 
 
-def _summary(member: type[Component] | Path | list[str]) -> str:
+def _summary(member: type[Component] | Path | list[str] | tuple[str, str]) -> str:
+    if isinstance(member, tuple):
+        module, purpose = member
+        state = "installed" if find_spec(module) else "not installed"
+        return f"{purpose}: needs {module}, {state}"
     if isinstance(member, list):
         return ", ".join(member) if len(member) <= MAX_NAMES else f"{len(member)} sweeps"
     return _title(member) if isinstance(member, Path) else summary_of(member)

@@ -9,11 +9,11 @@ from typing import Any, Literal, TypeAlias
 import pydantic
 from pydantic import Field
 
-from bojax.config import catalog as _catalog  # noqa: F401 (registers every schema class)
+from bojax.config.catalog import kinds, roles
 from bojax.config.claims import Claim, Explanation
 from bojax.config.component import Schema
 from bojax.config.errors import MAX_NAMES, ConfigError, Location, dotted, from_validation, listed, shown
-from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shipped
+from bojax.config.files import STANDARD_INPUT, SUFFIXES, available, display, find, shipped
 from bojax.config.settings import RESERVED
 from bojax.config.thesis import groups
 from bojax.config.yaml_file import read_mapping
@@ -147,9 +147,23 @@ def _find(source: str, folder: str) -> Path:
         return find(source, folder)
     except ConfigError:
         if source not in (meant := groups()):
+            _check_part(source, folder)
             raise
         names = listed(source, meant[source]) if len(meant[source]) <= MAX_NAMES else "many sweeps"
         raise ConfigError(f"{source}: stands for {names}; start with: bojax reproduce {source}") from None
+
+
+def _check_part(name: str, folder: str) -> None:
+    """Refuse the name of a part with a hint: it is a value of a setting."""
+    if any(name in available(each) for each in ("configs", "sweeps")):
+        return  # the message that it is in the other folder says more
+    role = next((role for role in roles() if name in kinds(role)), None)
+    if role is not None:
+        is_top = role in ("env", "learner", "planner", "problem", "schedule")
+        use = f"choose it by {role}={name}; " if is_top else ""
+        raise ConfigError(
+            f"{name}: is a part (role {role}), not a name in {folder}/; {use}bojax list {name} shows more"
+        )
 
 
 def _command(source: Source) -> str:

@@ -36,9 +36,12 @@ def sweeps_of(name: str) -> list[str]:
         apart = STUDY, *OTHERS.values()
         of_thesis = [each for each in sweeps if not each.startswith(apart) and "claims" in sweeps[each]]
         return [each for each in of_thesis if each.partition("-")[2].startswith(CHAPTERS.get(name, ""))]
+    name = _aliases().get(name, name)
     meant = [name] if name in sweeps else [each for each in sweeps if _is_part_of(each, name)]
     if not meant:
-        allowed = [ALL, *CHAPTERS, *OTHERS, *sweeps]
+        allowed = {*groups(), *_aliases(), *sweeps}
+        if name in available("configs"):
+            raise ConfigError(f"got {name}, a config; start it with: bojax run {name}")
         raise ConfigError(f"got {name}; allowed: {listed(name, allowed)}{did_you_mean(name, allowed)}")
     return meant
 
@@ -55,6 +58,12 @@ def _sweeps() -> dict[str, dict[str, Any]]:
     """The content of all sweeps by name, without aliases."""
     contents = {name: _content(path) for name, path in available("sweeps").items()}
     return {name: content for name, content in contents.items() if "alias" not in content}
+
+
+def _aliases() -> dict[str, str]:
+    """The sweep that each alias names."""
+    contents = ((name, _content(path)) for name, path in available("sweeps").items())
+    return {name: str(content["alias"]) for name, content in contents if "alias" in content}
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -55,6 +55,14 @@ run table-5.3
 => start with: bojax reproduce table-5.3
 sweep chapter5
 => chapter5: stands for many sweeps; start with: bojax reproduce chapter5
+run kcbts
+=> kcbts: is a part (role planner), not a name in configs/; choose it by planner=kcbts; bojax list kcbts
+sweep rbf
+=> rbf: is a part (role kernel), not a name in sweeps/; bojax list rbf shows more
+reproduce mountain-car
+=> got mountain-car, a config; start it with: bojax run mountain-car
+reproduce parkin
+=> did you mean "parking"?
 run parking --runs 1e3
 => allowed: an integer (write 1000)
 """

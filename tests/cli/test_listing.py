@@ -2,10 +2,12 @@
 
 import pytest
 
-from bojax.cli.listing import _part
+from bojax.cli.listing import _example, _part
 from bojax.cli.main import main
 from bojax.config import catalog, thesis
+from bojax.config.component import Component
 from bojax.config.files import available
+from bojax.config.sweep import load_config
 
 
 @pytest.fixture
@@ -41,6 +43,42 @@ def test_a_part_a_config_and_a_sweep_of_one_name(listed):
     assert "half_width number > 0 4 half the side of the square domain, m" in " ".join(out.split())
     assert "bojax run parking" in out and "bojax sweep parking" in out
     assert "alias of fig-4.6" in out
+
+
+def test_an_example_stands_with_every_group_and_part_and_is_a_valid_config(listed):
+    without = {"brax", "gymnasium", "grid", "scattered", "until-target"}  # they need an id, a file, a number
+    for role, base in catalog.roles().items():
+        lines = [line.strip() for line in listed(base.plural).splitlines()]
+        assert lines[-1].startswith("bojax run "), role
+        for kind in catalog.kinds(role):
+            example = _example(role, kind)
+            assert bool(example) == (kind not in without and role != "experiment"), (role, kind)
+            if example:
+                name, *overrides = example.removeprefix("bojax run ").split()
+                config = load_config(name, overrides).points[0].config
+                assert kind in parts(config), example
+                assert example in listed(kind)
+
+
+def parts(config) -> set[str]:
+    """The kinds of all parts of an experiment."""
+    found = {config.kind}
+    for name in type(config).model_fields:
+        if isinstance(value := getattr(config, name), Component):
+            found |= parts(value)
+    return found
+
+
+def test_extras_say_what_needs_which_package(listed, monkeypatch):
+    monkeypatch.setattr("bojax.cli.listing.find_spec", lambda module: None if module == "wandb" else object())
+    out = " ".join(listed("extras").split())
+    assert "environments of Gymnasium: needs gymnasium, installed" in out
+    assert "bojax export --to wandb: needs wandb, not installed" in out
+    assert "pip install -e '.[wandb]'" in listed("wandb")
+
+
+def test_reproduce_takes_aliases_of_sweeps():
+    assert thesis.sweeps_of("parking") == ["fig-4.6"]
 
 
 def test_names_of_reproduce_are_listed_with_their_sweeps(listed):
