@@ -3,8 +3,14 @@
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from bojax.cli.parser import Parser, integer, path
+
+if TYPE_CHECKING:
+    from bojax.engine.replay import Replay
+    from bojax.films.recorded import Episode
+    from bojax.report.source import Results
 
 _EXAMPLES = """\
   bojax render results/mountain-car/20250101-120000               first success of the first run
@@ -30,7 +36,10 @@ def main(name: str, words: Sequence[str]) -> int:
     from bojax.text import error_line
 
     try:
-        film = choose_film(load(args.folder), args.point, args.run, args.episode, args.model)
+        results = load(args.folder)
+        film = choose_film(
+            results, args.point, args.run, args.episode, args.model, lambda chosen: _replay(results, chosen)
+        )
         if args.still is not None:
             write_still(film, args.still, args.at)
             print(args.still)
@@ -49,6 +58,21 @@ def main(name: str, words: Sequence[str]) -> int:
     return 0
 
 
+def _replay(results: "Results", episode: "Episode") -> "Replay":
+    """An episode of a Gymnasium environment, which is stepped again and draws itself."""
+    from bojax.config.external import resolved_in
+    from bojax.engine.replay import Replay
+    from bojax.envs.settings import Gymnasium
+    from bojax.experiments.settings import Learning
+
+    experiment, env = episode.point.experiment, episode.point.env
+    assert isinstance(experiment, Learning) and isinstance(env, Gymnasium)
+    resolved_in(experiment, results.folder / "manifest.json")
+    seed, starts = results.manifest.seed, experiment.starts
+    assert seed is not None
+    return Replay(env, experiment.dtype, seed, episode.run, episode.number, starts)
+
+
 def _share(text: str) -> float:
     with suppress(ValueError):
         if 0.0 <= (value := float(text)) <= 1.0:
@@ -62,7 +86,8 @@ def _parser(name: str) -> Parser:
         "DIR [--run N] [--episode E] [--point P] [--model FILE] [--still FILE [--at SHARE]]",
         "Draw a recorded run of a planner, or an episode of a learning run, and write it to\n"
         "DIR/animations/ as GIF and, if ffmpeg is installed, as MP4. The first runs of each point are\n"
-        "recorded; their number is record.runs. MuJoCo draws robots, and needs no display.",
+        "recorded; their number is record.runs. MuJoCo draws robots, and needs no display. Environments of\n"
+        "Gymnasium draw themselves: the episode is stepped again.",
         _EXAMPLES,
     )
     parser.option("folder", "DIR", "results folder", path)

@@ -19,8 +19,8 @@ import pydantic
 
 from bojax.config.catalog import roles
 from bojax.config.component import Component, External, import_target
-from bojax.config.errors import ConfigError, Location, did_you_mean, from_validation, shown
-from bojax.config.files import WRITTEN
+from bojax.config.errors import ConfigError, Location, did_you_mean, dotted, from_validation, shown
+from bojax.config.files import WRITTEN, display
 from bojax.config.signature import fields_of
 from bojax.config.sweep import Sweep
 from bojax.text import error_at_line
@@ -50,6 +50,15 @@ def resolve(sweep: Sweep) -> Sweep:
         variant = config.label if point.variant == point.label else point.variant
         points.append(dataclasses.replace(point, config=config, label=config.label, variant=variant))
     return dataclasses.replace(sweep, points=tuple(points))
+
+
+def resolved_in(component: Component, file: Path) -> Component:
+    """The settings of a file of a results folder, with every import path imported as by `resolve`.
+
+    Raises:
+        ConfigError: As `resolve`.
+    """
+    return _resolve(component, (), lambda location: f"{display(file)}: {dotted(location)}")
 
 
 def _imports_code(component: Component) -> bool:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Key, PyTree
 from typing_extensions import override
 
 from bojax.engine.batch import Lanes, Leaves, Programs, Status, checked_advance
@@ -142,8 +142,13 @@ class Hosted(Programs):
         return self._put(np.full(self.num_lanes, number))
 
 
+def seed_of(key: Key[Array, ""]) -> Array:
+    """The seed with which an environment on the host is reset, a number of 31 bits."""
+    return jax.random.bits(key, dtype=jnp.uint32) >> 1
+
+
 def _seed(phase_of, run: LearningRun, carry, number):
-    return jax.random.bits(phase_of(run, carry, number).reset_key, dtype=jnp.uint32) >> 1
+    return seed_of(phase_of(run, carry, number).reset_key)
 
 
 def _begin(phase_of, run: LearningRun, carry, number, learner, observation):

@@ -170,9 +170,9 @@ class HostEnv(Env):
         """The space that Gymnasium declares."""
         return self.actions
 
-    def make(self) -> gymnasium.Env:
-        """A new environment, wrapped by `Idling`."""
-        return Idling(self._made(), self.observations, self.actions)
+    def make(self, **changes: Any) -> gymnasium.Env:
+        """A new environment, wrapped by `Idling`, with changes of its `kwargs`."""
+        return Idling(self._made(**changes), self.observations, self.actions)
 
     def make_vector(self, num: int) -> gymnasium.vector.SyncVectorEnv:
         """Several environments, stepped together; each waits after its episode for a reset with a seed."""
@@ -212,10 +212,10 @@ class HostEnv(Env):
         """Not available, see `reset`."""
         return self.reset(key)
 
-    def _made(self) -> gymnasium.Env:
+    def _made(self, **changes: Any) -> gymnasium.Env:
         if ":" in self.id and str(Path.cwd()) not in sys.path:  # an installed command lacks this entry
             sys.path.insert(0, str(Path.cwd()))
-        kwargs = json.loads(self.kwargs)
+        kwargs = json.loads(self.kwargs) | changes
         return gymnasium.make(self.id, max_episode_steps=-1, disable_env_checker=True, **kwargs)
 
 

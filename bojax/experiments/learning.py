@@ -68,6 +68,24 @@ class RunState(eqx.Module):
     map_scores: Float[Array, "K 3"] | None
 
 
+def _episode_key(
+    run: Key[Array, ""], episode: Int[Array, ""], counter: Int[Array, ""] | int
+) -> Key[Array, ""]:
+    return jax.random.fold_in(jax.random.fold_in(run, episode), counter)
+
+
+def reset_key(
+    run: Key[Array, ""],
+    episode: Int[Array, ""],
+    counter: Int[Array, ""] | int,
+    starts: Literal["per-episode", "per-run"],
+) -> Key[Array, ""]:
+    """Key of the initial state of an episode, numbered from 1, or with counter 2 n of its test n."""
+    if starts == "per-run":
+        return jax.random.fold_in(run, _START)
+    return jax.random.fold_in(_episode_key(run, episode, counter), 0)
+
+
 class LearningRun(Experiment):
     """Episodes of a learner in an environment; an advance is one training episode and the tests after it.
 
@@ -376,15 +394,15 @@ class LearningRun(Experiment):
         learns: bool,
     ) -> Phase:
         """The episode with this counter of `_key`."""
+        start = reset_key(carry.key, carry.episode + 1, counter, self.starts)
         key = self._key(carry, counter)
-        start = (key, 0) if self.starts == "per-episode" else (carry.key, _START)
         return Phase(
             self.env,
             self.learner,
             acting,
             exploration,
             key,
-            jax.random.fold_in(*start),
+            start,
             learns=learns,
             action_repeat=self.action_repeat,
         )
@@ -395,7 +413,7 @@ class LearningRun(Experiment):
         No key depends on the number of tests, so that tests do not change the training.
         """
         # Counter 0 of the run is the learner's.
-        return jax.random.fold_in(jax.random.fold_in(carry.key, carry.episode + 1), counter)
+        return _episode_key(carry.key, carry.episode + 1, counter)
 
     def _map(self, learner: LearnerState) -> Float[Array, "2 *grid"]:
         env = self.env

@@ -14,7 +14,7 @@ from typing_extensions import override
 from bojax.config.component import External
 from bojax.films.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
 from bojax.films.recorded import Episode
-from bojax.films.scenes import SCENES, RobotScene, Scene
+from bojax.films.scenes import SCENES, Replay, ReplayScene, RobotScene, Scene
 from bojax.report.style import BLUE, FAINT, INK, drawn_text
 from bojax.report.text import file_name
 from bojax.results.store import ResultsError
@@ -23,11 +23,14 @@ _SIZE = (4.0, 4.0)
 
 
 class LearningFilm(Film):
-    """The steps of an episode, one after the other; a robot may be drawn from another MJCF file."""
+    """The steps of an episode, one after the other; a robot may be drawn from another MJCF file.
 
-    def __init__(self, episode: Episode, model: Path | None = None):
+    With a replay, these are the pictures that the environment itself draws.
+    """
+
+    def __init__(self, episode: Episode, model: Path | None = None, replay: Replay | None = None):
         self._episode = episode
-        self._kind, self._scene, self._time_step = _drawn(episode, model)
+        self._kind, self._scene, self._time_step = _drawn(episode, model, replay)
         self._indices = frames_of(len(episode.observations))
         self.name = f"{file_name(episode.point.name)}-run{episode.run}-episode{episode.number}"
         self.num_images = len(self._indices)
@@ -85,11 +88,15 @@ def frames_of(num_steps: int) -> NDArray[np.int64]:
     return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
 
 
-def _drawn(episode: Episode, model: Path | None) -> tuple[str, Callable[[Axes], Scene], float]:
+def _drawn(
+    episode: Episode, model: Path | None, replay: Replay | None
+) -> tuple[str, Callable[[Axes], Scene], float]:
     """The kind of an environment, its scene, and the duration of a step in seconds; 0 if unknown."""
     env = episode.point.env
     assert env is not None
     kind = env.kind
+    if replay is not None:
+        return getattr(env, "id", kind), partial(ReplayScene, env=replay), replay.seconds
     if model is not None or (kind not in SCENES and episode.frames.shape[1] > 0):
         from bojax.films.robot_worlds import ENVS, compiled
 

@@ -2,13 +2,14 @@
 
 import abc
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse, Polygon, Rectangle, Wedge
 from matplotlib.transforms import Affine2D
+from numpy.typing import NDArray
 from typing_extensions import override
 
 from bojax.envs import lander_geometry as geometry
@@ -43,6 +44,57 @@ class Scene(abc.ABC):
 
     def close(self) -> None:  # noqa: B027
         """Release the resources of the drawing."""
+
+
+class Replay(Protocol):
+    """A recorded episode that is stepped again, in an environment that draws pictures itself."""
+
+    seconds: float  # duration of a step; 0 if unknown
+
+    @property
+    def observation(self) -> Any:
+        """Observation before the next step, `[D]` or an integer."""
+        ...
+
+    def begin(self) -> None:
+        """Go to the start of the episode."""
+
+    def picture(self) -> NDArray[np.uint8]:
+        """What the environment draws, `[height, width, 3]`."""
+        ...
+
+    def step(self, action: Floats) -> None:
+        """Take an action, `[A]`."""
+
+    def close(self) -> None:
+        """Close the environment."""
+
+
+class ReplayScene(Scene):
+    """The pictures that an environment draws itself while a recorded episode is stepped again."""
+
+    def __init__(self, axes: Axes, env: Replay):
+        self._replay, self._axes, self._image = env, axes, None
+        axes.set_axis_off()
+        env.begin()
+
+    @override
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        if not np.allclose(np.ravel(self._replay.observation), observation, rtol=1e-4, atol=1e-4):
+            raise ResultsError(
+                "the environment does not repeat the recorded episode from its seed and actions, so that it "
+                "cannot be drawn"
+            )
+        picture = self._replay.picture()
+        if self._image is None:
+            self._image = self._axes.imshow(picture, interpolation="antialiased")
+        else:
+            self._image.set_data(picture)
+        self._replay.step(action)
+
+    @override
+    def close(self) -> None:
+        self._replay.close()
 
 
 class SinglePendulum(Scene):
