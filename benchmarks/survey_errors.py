@@ -1,120 +1,150 @@
 """The routes and maps of bench_survey.py, run in a process with its own cores.
 
-Two fields that Matplotlib ships, on 10 x 10 units and standardised: a window of a digital elevation model,
-and one of a bathymetry. A sample every 0.2 along a route, with noise of standard deviation 0.05. One Gaussian
-process, whose hyper-parameters were fitted to points beside the first window, maps what every route measures.
-The routes of SGP-Tools 2.0.7 (ContinuousSGP) and of the lawnmower are stored in `data/survey_peers.json`.
+A sample every 0.2 units along a route, with noise of standard deviation 0.05; one process maps what every
+route measures, and all planners know it. Its hyper-parameters and the fields are in `survey_fields.py`. The
+starts are stored in `data/survey_peers.json`, and for the empty square the routes of SGP-Tools 2.0.7
+(ContinuousSGP) and of a lawnmower from the nearest corner. The other lawnmower is the best of `bojax survey`.
 """
 
 import json
 import math
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
-import matplotlib.cbook
 import numpy as np
 from bench_survey import parse
 from rich.console import Console
 from rich.table import Table
-from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial.distance import cdist
+from scipy.stats import t as student
+from survey_fields import LENGTHSCALE, NOISE_VARIANCE, SQUARE, VARIANCE, Field, league
+from survey_rivals import myopic_route, random_route
 
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.models.kernels import Matern52, Scaled
 from bojax.surveys.area import Area
-from bojax.surveys.information import samples_along
-from bojax.surveys.route import plan_route
+from bojax.surveys.information import PointErrors
+from bojax.surveys.lawnmower import Ground
+from bojax.surveys.model import FieldModel
+from bojax.surveys.planning import Demand, plan_survey
+from bojax.surveys.polylines import length_of, points_along
+from bojax.surveys.route import spread_points
+from bojax.surveys.shapes import to_area
 
-SPACING, NOISE, NOISE_VARIANCE = 0.2, 0.05, 0.0089
-MEAN, DEVIATION = 636.74, 209.72
-"""Of the heights beside the window, m."""
+SPACING, NOISE, GRID = 0.2, 0.05, 0.25
+PEERS = Path(__file__).parent / "data" / "survey_peers.json"
+METHODS = ("bojax", "lawnmower", "from a corner", "SGP-Tools", "myopic", "random")
+STORED = {"from a corner": "lawnmower", "SGP-Tools": "sgptools"}
+MODEL = FieldModel(LENGTHSCALE, VARIANCE**0.5, NOISE_VARIANCE**0.5, "the league's")
 
-Field = Callable[[np.ndarray], np.ndarray]
-
-
-def fields() -> dict[str, Field]:
-    """Standardised heights at points `[N, 2]`."""
-    heights = _shipped("jacksboro_fault_dem.npz", "elevation")
-    depths = _shipped("topobathy.npz", "topo")[:30, :30]
-    return {
-        "elevation": _field((heights[120:228, 150:284][::-1] - MEAN) / DEVIATION),
-        "bathymetry": _field((depths - depths.mean()) / depths.std()),
-    }
-
-
-def _shipped(file: str, name: str) -> np.ndarray:
-    archive: Any = matplotlib.cbook.get_sample_data(file)
-    return archive[name].astype(float)
-
-
-def _field(values: np.ndarray) -> Field:
-    rows, columns = (np.linspace(0.0, 10.0, size) for size in values.shape)
-    interpolate = RegularGridInterpolator((rows, columns), values)
-    return lambda points: interpolate(np.clip(points[:, ::-1], 0.0, 10.0))
+Routes = dict[str, list[np.ndarray]]
 
 
 def main(argv: list[str]) -> int:
     """Plan the routes, map the fields, and print the errors."""
     args = parse(argv)
     jax.config.update("jax_enable_x64", True)
-    peers = json.loads((Path(__file__).parent / "data" / "survey_peers.json").read_text())
-    kernel = Scaled(Matern52(jnp.asarray(1.160)), jnp.asarray(0.807))
-    prior = GaussianProcess.prior(kernel, NOISE_VARIANCE, 0, 2)
-    axis = np.linspace(0.0, 10.0, 41)
-    grid, known = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), fields()
+    stored = json.loads(PEERS.read_text())
+    starts = np.asarray(stored["starts"])[: args.starts, :2]
+    fields, shares = league(), []
+    for budget in args.budgets:
+        planned: dict[int, Routes] = {}
+        table, against = _tables(budget, len(starts))
+        for field in fields:
+            if id(field.area) not in planned:
+                planned[id(field.area)] = _routes(field.area, budget, starts)
+                if field.area is SQUARE:
+                    for name, key in STORED.items():
+                        paths = stored[f"{key}-{budget}"][: args.starts]
+                        planned[id(SQUARE)][name] = [np.asarray(path) for path in paths]
+            scores = _scores(field, planned[id(field.area)], budget)
+            shares.append(_report(field, scores, table, against))
+        Console(width=140).print(table, against)
+    print(
+        "RMSE of bojax relative to the other's, mean over fields and lengths, with 95% intervals over starts"
+    )
+    for name in METHODS[1:]:
+        known = np.array([share[name] for share in shares if name in share])
+        print(f"{name} ({len(known)} cells): {_interval(known.mean(axis=0))}")
+    return 0
+
+
+def _tables(budget: int, number: int) -> tuple[Table, Table]:
+    table = Table(title=f"Length {budget}: RMSE, and mean deviation, over {number} starts")
+    against = Table(title=f"Length {budget}: RMSE of bojax minus the other's, paired, with 95% intervals")
+    for each, names in ((table, METHODS), (against, METHODS[1:])):
+        each.add_column("field")
+        for name in names:
+            each.add_column(name, justify="right")
+    return table, against
+
+
+def _routes(area: Area, budget: int, starts: np.ndarray) -> Routes:
+    """Routes of each method, from the points of the area nearest to the starts."""
+    part = to_area(Ground.of(area).shape)
+    points, model = part.grid(GRID), MODEL.belief()
+    errors = PointErrors.of(model, jnp.asarray(spread_points(part, 400)))
+    routes: Routes = {name: [] for name in METHODS if name not in STORED}
+    seconds = []
+    for index, start in enumerate(starts):
+        start = start if part.contains(start[None])[0] else points[cdist([start], points).argmin()]
+        begin = time.process_time()
+        survey = plan_survey(part, MODEL, Demand(float(budget), start, sampling=SPACING))
+        seconds.append(time.process_time() - begin)
+        routes["bojax"].append(survey.chosen.waypoints)
+        routes["lawnmower"].append(survey.lawnmower.waypoints)
+        routes["random"].append(random_route(part, budget, start, index))
+        routes["myopic"].append(myopic_route(part, errors, budget, start, SPACING))
+    print(f"length {budget}: {np.median(seconds):.1f} CPU s a survey", file=sys.stderr)
+    return routes
+
+
+def _scores(field: Field, routes: Routes, budget: int) -> dict[str, np.ndarray]:
+    """RMSE and mean deviation `[starts, 2]` of the map of each route."""
+    grid = to_area(Ground.of(field.area).shape).grid(GRID)
+    truth, kernel = field.value(grid), MODEL.belief().kernel
 
     @jax.jit
     def mapped(x, y, count):
         return GaussianProcess.fit(kernel, NOISE_VARIANCE, x, y, count=count).predict(jnp.asarray(grid))
 
-    def errors(route: np.ndarray, budget: int, seed: int) -> list[float]:
-        """Mean standard deviation of the map, and its RMSE on each field."""
-        points, exists = samples_along(jnp.asarray(route), SPACING, round(budget / SPACING))
+    def score(route: np.ndarray, seed: int) -> tuple[float, float]:
+        distances = SPACING * np.arange(1, round(budget / SPACING) + 1)
+        points = points_along(route, distances)
         noise = NOISE * np.random.default_rng(seed).standard_normal(len(points))
-        found, variance = [], np.zeros(len(grid))
-        for field in known.values():
-            mean, variance = mapped(points, field(np.asarray(points)) + noise, jnp.sum(exists))
-            found.append(math.sqrt(np.mean((field(grid) - np.asarray(mean)) ** 2)))
-        return [float(np.sqrt(np.asarray(variance)).mean()), *found]
+        count = np.sum(distances <= length_of(route) * (1.0 + 1e-9))
+        mean, variance = mapped(points, field.value(points) + noise, jnp.asarray(count, jnp.int32))
+        return math.sqrt(np.mean((truth - np.asarray(mean)) ** 2)), float(
+            np.sqrt(np.asarray(variance)).mean()
+        )
 
-    table = Table(title=f"Means over {args.starts} starts (standard errors)")
-    for heading in (
-        "length",
-        "route",
-        "mean deviation",
-        *(f"RMSE, {name}" for name in known),
-        "CPU s a route",
-    ):
-        table.add_column(heading, justify="left" if heading == "route" else "right")
-    area = Area.rectangle(0.0, 0.0, 10.0, 10.0)
-    for budget in args.budgets:
-        planned, seconds = [], []
-        for index in range(args.starts):
-            begin = time.process_time()
-            first = {"lawnmower": np.asarray(peers[f"lawnmower-{budget}"][index])}
-            start, key = np.asarray(peers["starts"][index][:2]), jax.random.key(args.seed + index)
-            route = plan_route(prior, area, float(budget), start, None, first, key, spacing=SPACING)
-            planned.append(route.waypoints)
-            seconds.append(time.process_time() - begin)
-        routes = {
-            "lawnmower": peers[f"lawnmower-{budget}"],
-            "SGP-Tools": peers[f"sgptools-{budget}"],
-            "bojax": planned,
-        }
-        for name, each in routes.items():
-            scores = np.asarray(
-                [errors(np.asarray(each[index]), budget, index) for index in range(args.starts)]
-            )
-            spread = scores.std(axis=0, ddof=1) / math.sqrt(args.starts) if args.starts > 1 else 0 * scores[0]
-            cells = [f"{a:.3f} ({b:.3f})" for a, b in zip(scores.mean(axis=0), spread, strict=True)]
-            taken = f"{np.median(seconds[1:] or seconds):.1f}" if name == "bojax" else ""
-            table.add_row(str(budget), name, *cells, taken)
-    Console().print(table)
-    return 0
+    return {
+        name: np.array([score(route, index) for index, route in enumerate(found)])
+        for name, found in routes.items()
+    }
+
+
+def _report(
+    field: Field, scores: dict[str, np.ndarray], table: Table, against: Table
+) -> dict[str, np.ndarray]:
+    """Add the rows of a field, and return the relative RMSE of bojax to each other method, by start."""
+    cells = ["{:.3f} {:.3f}".format(*scores[name].mean(axis=0)) if name in scores else "" for name in METHODS]
+    table.add_row(field.name, *cells)
+    own = scores["bojax"][:, 0]
+    others = {name: each[:, 0] for name, each in scores.items() if name != "bojax"}
+    differences = [_interval(own - others[name]) if name in others else "" for name in METHODS[1:]]
+    against.add_row(field.name, *differences)
+    return {name: own / other for name, other in others.items()}
+
+
+def _interval(values: np.ndarray) -> str:
+    """Mean and 95% interval of Student's t."""
+    if len(values) < 2:
+        return f"{values.mean():+.3f}"
+    half = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values))
+    return f"{values.mean():+.3f} ({values.mean() - half:+.3f}, {values.mean() + half:+.3f})"
 
 
 if __name__ == "__main__":

@@ -183,14 +183,23 @@ def _surveyed(raster: Raster, below: float | None) -> "BaseGeometry":
     return _shape_of(raster, inside)
 
 
+def area_of_cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> Area:
+    """The area around the cells `[y, x]` of a grid that are inside, half a cell beyond their centres."""
+    return to_area(_around(x, y, inside))
+
+
 def _shape_of(raster: Raster, inside: np.ndarray) -> "BaseGeometry":
+    return _around(raster.x, raster.y, inside)
+
+
+def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> "BaseGeometry":
     """Polygons around the cells that are inside; their border is half a cell from the centres of these."""
     from contourpy import FillType, contour_generator
 
     shapely = shapely_module()
-    x_step, y_step = raster.x[1] - raster.x[0], raster.y[1] - raster.y[0]
-    x = np.concatenate([[raster.x[0] - x_step], raster.x, [raster.x[-1] + x_step]])
-    y = np.concatenate([[raster.y[0] - y_step], raster.y, [raster.y[-1] + y_step]])
+    x_step, y_step = x[1] - x[0], y[1] - y[0]
+    x = np.concatenate([[x[0] - x_step], x, [x[-1] + x_step]])
+    y = np.concatenate([[y[0] - y_step], y, [y[-1] + y_step]])
     generator = contour_generator(x, y, np.pad(inside, 1).astype(float), fill_type=FillType.OuterOffset)
     found = []
     for points, offsets in zip(*generator.filled(0.5, 2.0), strict=True):
