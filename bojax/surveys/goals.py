@@ -54,9 +54,9 @@ class Goal:
     def meaning(self) -> str:
         """What the error is a mean over, for reports."""
         if self.kind == "hotspots":
-            return f"over the area, weighted by the probability of being in its highest {HIGHEST:.0%}"
+            return f"over the area (weighted by the probability of being in its highest {HIGHEST:.0%})"
         if self.kind == "threshold":
-            return f"over the area, weighted by the straddle of {self.threshold:g}"
+            return f"over the area (weighted by the straddle of {self.threshold:g})"
         return "over the region" if self.kind == "region" else "over the area"
 
     def weights(self, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
