@@ -40,6 +40,7 @@ class EMUQ(Learner):
     prior_precision: Float[Array, ""]
     noise_precision: Float[Array, ""]
     discount: Float[Array, ""]
+    u_discount: Float[Array, ""] | None
     kappa: Float[Array, ""]
     tolerance: Float[Array, ""]
     num_actions: int = eqx.field(static=True)
@@ -54,6 +55,7 @@ class EMUQ(Learner):
     refit: Literal["sweeps", "direct", "none"] = eqx.field(static=True)
     max_sweeps: int = eqx.field(static=True)
     mixes_transitions: bool = eqx.field(static=True)
+    clips_u: bool = eqx.field(static=True)
     block: int = eqx.field(static=True)
     refit_block: int = eqx.field(static=True)
 
@@ -188,6 +190,7 @@ class EMUQ(Learner):
             prior_precision=self.prior_precision,
             noise_precision=self.noise_precision,
             discount=self.discount,
+            u_discount=self.discount if self.u_discount is None else self.u_discount,
             state_lengthscale=getattr(self.features, "state_lengthscale", jnp.ones_like(self.discount)),
             draw_actions=self.draw_actions,
             reward_order=self.reward_order,
@@ -196,6 +199,7 @@ class EMUQ(Learner):
             optimistic_u=self.optimistic_u,
             has_noise=self.has_noise,
             mixes_transitions=self.mixes_transitions,
+            clips_u=self.clips_u,
         )
 
     @property

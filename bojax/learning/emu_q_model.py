@@ -53,6 +53,7 @@ class EMUQModel(eqx.Module):
     prior_precision: Float[Array, ""]
     noise_precision: Float[Array, ""]
     discount: Float[Array, ""]
+    u_discount: Float[Array, ""]
     state_lengthscale: Float[Array, ""]
     draw_actions: Literal["once", "always"] = eqx.field(static=True)
     reward_order: Literal["before", "after"] = eqx.field(static=True)
@@ -61,6 +62,7 @@ class EMUQModel(eqx.Module):
     optimistic_u: bool = eqx.field(static=True)
     has_noise: bool = eqx.field(static=True)
     mixes_transitions: bool = eqx.field(static=True)
+    clips_u: bool = eqx.field(static=True)
 
     # Actions.
 
@@ -136,6 +138,17 @@ class EMUQModel(eqx.Module):
         noise = 1.0 / self.noise_precision if self.has_noise else 0.0
         return variance + noise - 1.0 / self.prior_precision
 
+    def clipped_u(self, u: Float[Array, "*N"]) -> Float[Array, "*N"]:
+        """With `clips_u`, U clipped to the returns that exploration rewards allow; otherwise U.
+
+        An exploration reward is lowest at variance 0 and highest at V_max.
+        """
+        if not self.clips_u:
+            return u
+        variances = jnp.stack([jnp.zeros_like(self.prior_precision), 1.0 / self.prior_precision])
+        low, high = self.exploration_reward(variances) / (1.0 - self.u_discount)
+        return jnp.clip(u, low, high)
+
     def sample_variances(
         self,
         posterior: BayesianLinearRegression,
@@ -184,9 +197,9 @@ class EMUQModel(eqx.Module):
         # An absorbing state pays r_e in every step to come: r_e + gamma r_e / (1 - gamma) = r_e / (1 -
         # gamma).
         q = jnp.where(terminated & self.terminal_q.is_("zero"), 0.0, next_values[Q])
-        forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.discount), 0.0)
-        u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, next_values[U])
-        return jnp.stack([reward + self.discount * q, bonus + self.discount * u], axis=-1)
+        forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.u_discount), 0.0)
+        u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, self.clipped_u(next_values[U]))
+        return jnp.stack([reward + self.discount * q, bonus + self.u_discount * u], axis=-1)
 
     def q_discount(self, terminated: Bool[Array, "B"]) -> Float[Array, "B"]:
         """Factor of Q(s', a') in the TD target of Q."""
@@ -198,6 +211,6 @@ class EMUQModel(eqx.Module):
     ) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
         """Constant term of the TD target of U, and its factor of phi(s', a')'m_U."""
         is_absorbing = terminated & self.terminal_u.is_("absorbing")
-        constant = jnp.where(is_absorbing, bonus / (1.0 - self.discount), bonus)
+        constant = jnp.where(is_absorbing, bonus / (1.0 - self.u_discount), bonus)
         ends = terminated & ~self.terminal_u.is_("bootstrap")
-        return constant, jnp.where(ends, 0.0, self.discount * factor)
+        return constant, jnp.where(ends, 0.0, self.u_discount * factor)

@@ -261,6 +261,17 @@ class _Equations(eqx.Module):
 
         return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
 
+    def clipped_sweep(self, weights: Float[Array, "M"]) -> Float[Array, "M"]:
+        """The right-hand side, with U of the next states clipped."""
+        split = self.candidates.split(weights)
+
+        def visit(total, rows):
+            value = self.candidates.model.clipped_u(row_sums(rows.x * split[rows.of(self.chosen)]))
+            target = rows.of(self.constant) + rows.of(self.discount) * value
+            return total + matmul(rows.valid(target), rows.phi)
+
+        return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
+
     def matrix_and_constant(self) -> tuple[Float[Array, "M M"], Float[Array, "M"]]:
         """The right-hand side as a function of the weights: F and c of beta S (F m + c)."""
         join = jax.vmap(self.candidates.features.join)
@@ -326,7 +337,13 @@ class Refit(eqx.Module):
         candidates = _Candidates.of(self.model, state, drawn, kappa)
         if self.is_direct:
             # With one set of candidates there are finitely many policies, which usually settle after a few.
-            return self._solve(partial(policy, candidates), mean, is_active)
+            solution = self._solve(partial(policy, candidates), mean, is_active)
+            if not self.model.clips_u:
+                return solution
+            # The equations with clipped values are not linear. Sweeps of bounded targets follow the solution
+            # of the linear ones; they end at once where it leaves no bound.
+            equations = policy(candidates, solution.at[:, U].set(mean[:, U])).equations(True)
+            return self._swept_u(lambda _, u: equations.clipped_sweep(u), solution, is_active)
 
         # Lines 14-15: m_Q <- beta S Phi'(r + gamma Phi_next m_Q), with a' greedy for the current m_Q and m_U.
         def sweep(number, q):
@@ -338,12 +355,11 @@ class Refit(eqx.Module):
         # Lines 16-17. With a' fixed, a sweep is an affine map of the weights: one pass over the transitions
         # is enough. Two products with vectors in every sweep take less time than the product of both
         # matrices.
-        matrix, constant = policy(candidates, mean).equations(True).matrix_and_constant()
-
-        def sweep_u(_, u):
-            return matmul(gain, constant + matmul(matrix, u))
-
-        return mean.at[:, U].set(self._until_converged(sweep_u, mean[:, U], is_active))
+        equations = policy(candidates, mean).equations(True)
+        if self.model.clips_u:
+            return self._swept_u(lambda _, u: equations.clipped_sweep(u), mean, is_active)
+        matrix, constant = equations.matrix_and_constant()
+        return self._swept_u(lambda _, u: matmul(gain, constant + matmul(matrix, u)), mean, is_active)
 
     def _exploration_rewards(self, state: EMUQState, samples: Action) -> Float[Array, "C"]:
         """The exploration reward (5.12) of every transition, for the actions of `samples`."""
@@ -423,6 +439,15 @@ class Refit(eqx.Module):
         loop = zero, mean, infinite, zero, inverse, no, seen, no, is_active
         loop = batched_together(loop)
         return jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)[1]
+
+    def _swept_u(
+        self,
+        sweep: Callable[[Int[Array, ""], Float[Array, "M"]], Float[Array, "M"]],
+        mean: Float[Array, "M 2"],
+        is_active: Bool[Array, ""],
+    ) -> Float[Array, "M 2"]:
+        """The means with that of U swept until it has converged."""
+        return mean.at[:, U].set(self._until_converged(sweep, mean[:, U], is_active))
 
     def _until_converged(
         self,

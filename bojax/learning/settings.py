@@ -130,6 +130,12 @@ class _EMUQ(LearnerSettings, frozen=True):
     prior_precision: float = Field(default=0.1, gt=0, description="prior precision of every weight (alpha)")
     noise_precision: float = Field(default=1.0, gt=0, description="precision of the targets (beta)")
     discount: float = Field(default=0.99, gt=0, lt=1, description="discount of rewards per step (gamma)")
+    u_discount: float | None = Field(
+        default=None,
+        ge=0,
+        lt=1,
+        description="discount of exploration rewards per step, in U; null for discount",
+    )
     kappa: float = Field(default=1.0, ge=0, description="weight of exploration, in units of 1/V_max = alpha")
     num_actions: _NumCandidates = 15
     num_samples: int = Field(
@@ -154,6 +160,11 @@ class _EMUQ(LearnerSettings, frozen=True):
         default=0.1, ge=0, description="change of the weights (Euclidean norm) that ends sweeps, or policies"
     )
     mixes_transitions: _MixesTransitions = False
+    clips_u: bool = Field(
+        default=False,
+        description="whether U of the next state is clipped in TD targets to the returns that exploration "
+        "rewards allow, [-1 / (alpha (1 - gamma)), 0]",
+    )
     block: int = Field(default=16, ge=1, description="number of steps between two flushes of the covariance")
     refit_block: int = Field(
         default=512, ge=1, description="number of transitions that a refit visits at a time, <= 64 on a CPU"

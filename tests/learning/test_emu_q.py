@@ -127,6 +127,37 @@ def test_is_the_numpy_version(schema, cls, settings, alpha):
     assert np.abs(after.posterior.mean - online.posterior.mean).max() > 1e-3  # the refit changes something
 
 
+@pytest.mark.parametrize(("how", "cls"), [("sweeps", Algorithm6), ("direct", DirectRefit)])
+def test_exploration_values_with_a_discount_and_bounds_of_their_own_are_the_numpy_versions(how, cls):
+    settings = {"discount": 0.9, "u_discount": 0.7, "clips_u": True, "prior_precision": 0.01}
+    learner, state = make(refit=how, **settings)
+    reference = reference_of(cls, learner, state, gamma=0.9, u_gamma=0.7, clips_u=True)
+    steps, start = transitions(), 200.0 * np.random.default_rng(0).normal(size=(2, 30))
+    # Weights whose U leaves its bounds, -333 and 0, in both directions.
+    state = eqx.tree_at(lambda state: state.posterior.mean, state, jnp.asarray(start.T))
+    reference.m_q, reference.m_u = start
+    reference.t_q, reference.t_u = start * learner.prior_precision
+    phi = numpy_features(state)(*map(np.asarray, (steps.next_observation, steps.action)))
+    assert reference.u(phi).min() < -333.3 and reference.u(phi).max() > 0.0
+    online, after = learn(learner, state, steps)
+    seen = {}
+    follow(reference, steps, lambda r: seen.update(m_q=r.m_q, m_u=r.m_u))
+    for mean, m_q, m_u in (
+        (online.posterior.mean, seen["m_q"], seen["m_u"]),
+        (after.posterior.mean, reference.m_q, reference.m_u),
+    ):
+        np.testing.assert_allclose(mean[:, 0], m_q, atol=1e-9 * np.abs(m_q).max())
+        np.testing.assert_allclose(mean[:, 1], m_u, atol=1e-8 * np.abs(m_u).max())
+
+
+def test_a_discount_of_u_that_is_that_of_q_changes_no_bit():
+    steps = transitions()
+    means = [
+        learn(*make(refit="direct", u_discount=value), steps)[1].posterior.mean for value in (None, 0.99)
+    ]
+    np.testing.assert_array_equal(*means)
+
+
 def test_a_second_episode_is_the_numpy_version_too():
     learner, state = make(refit="sweeps")
     reference = reference_of(Algorithm6, learner, state)

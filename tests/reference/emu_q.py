@@ -30,12 +30,15 @@ class Algorithm6:
         alpha: float = 0.1,
         beta: float = 1.0,
         gamma: float = 0.99,
+        u_gamma: float | None = None,
+        clips_u: bool = False,
         kappa: float = 1.0,
         max_sweeps: int = 30,
         tolerance: float = 0.1,
     ):
         self.phi, self.candidates, self.samples = phi, candidates, samples
         self.alpha, self.beta, self.gamma, self.kappa = alpha, beta, gamma, kappa * alpha
+        self.u_gamma, self.clips_u = gamma if u_gamma is None else u_gamma, clips_u
         self.max_sweeps, self.tolerance = max_sweeps, tolerance
         self.s = np.eye(num_features) / alpha
         self.t_q, self.t_u = np.zeros(num_features), np.zeros(num_features)
@@ -46,6 +49,11 @@ class Algorithm6:
 
     def u(self, phi: Array) -> Array:
         return phi @ self.m_u
+
+    def next_u(self, phi: Array) -> Array:
+        """U of next states in targets. Every r_e is between -1/alpha and 0, which bounds their sum."""
+        u = self.u(phi)
+        return np.clip(u, -1.0 / self.alpha / (1.0 - self.u_gamma), 0.0) if self.clips_u else u
 
     def pairs(self, states: Array, actions: Array) -> Array:
         """Features of every state with every action, state by state."""
@@ -71,7 +79,8 @@ class Algorithm6:
         r_e = self.exploration_reward(s_next)[0]
         phi, phi_next = self.phi(s, a)[0], self.phi(s_next, a_next)[0]
         y_q = r + self.gamma * (0.0 if is_absorbing else self.q(phi_next))
-        y_u = r_e + self.gamma * (r_e / (1.0 - self.gamma) if is_absorbing else self.u(phi_next))
+        forever = r_e / (1.0 - self.u_gamma)
+        y_u = r_e + self.u_gamma * (forever if is_absorbing else self.next_u(phi_next))
         self.learn(phi, y_q, y_u)
 
     def learn(self, phi: Array, y_q: float, y_u: float) -> None:
@@ -95,8 +104,8 @@ class Algorithm6:
         phi_next = self.phi(s_next, self.policy(s_next))
         r_e = self.exploration_reward(s_next)
         for _ in range(self.max_sweeps):
-            u_next = np.where(is_absorbing, r_e / (1.0 - self.gamma), self.u(phi_next))
-            self.t_u = self.beta * phi.T @ (r_e + self.gamma * u_next)
+            u_next = np.where(is_absorbing, r_e / (1.0 - self.u_gamma), self.next_u(phi_next))
+            self.t_u = self.beta * phi.T @ (r_e + self.u_gamma * u_next)
             before, self.m_u = self.m_u, self.s @ self.t_u
             if np.linalg.norm(self.m_u - before) <= self.tolerance:
                 break
@@ -110,10 +119,11 @@ class DirectRefit(Algorithm6):
     """
 
     def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
-        phi, discount = self.phi(s, a), np.where(is_absorbing, 0.0, self.gamma)
+        phi = self.phi(s, a)
+        gain = self.beta * self.s @ phi.T
 
-        def solution(phi_next: Array, constant: Array) -> Array:
-            gain = self.beta * self.s @ phi.T
+        def solution(phi_next: Array, constant: Array, gamma: float) -> Array:
+            discount = np.where(is_absorbing, 0.0, gamma)
             return np.linalg.solve(
                 np.eye(len(self.s)) - gain @ (discount[:, None] * phi_next), gain @ constant
             )
@@ -124,15 +134,21 @@ class DirectRefit(Algorithm6):
             if any(np.array_equal(a_next, before) for before in seen):
                 break
             seen.append(a_next)
-            before, self.m_q = self.m_q, solution(self.phi(s_next, a_next), r)
+            before, self.m_q = self.m_q, solution(self.phi(s_next, a_next), r, self.gamma)
             changes.append(np.linalg.norm(self.m_q - before))
             growths = np.sum(np.diff(changes) >= 0.0)
             if changes[-1] <= self.tolerance or growths == 2:
                 break
         self.policies, self.growths = len(changes), growths
         r_e = self.exploration_reward(s_next)
-        forever = np.where(is_absorbing, r_e / (1.0 - self.gamma), r_e)
-        self.m_u = solution(self.phi(s_next, self.policy(s_next, actions)), forever)
+        forever = np.where(is_absorbing, r_e / (1.0 - self.u_gamma), r_e)
+        phi_next = self.phi(s_next, self.policy(s_next, actions))
+        self.m_u = solution(phi_next, forever, self.u_gamma)
+        for _ in range(self.max_sweeps if self.clips_u else 0):
+            u_next = np.where(is_absorbing, 0.0, self.next_u(phi_next))
+            before, self.m_u = self.m_u, gain @ (forever + self.u_gamma * u_next)
+            if np.linalg.norm(self.m_u - before) <= self.tolerance:
+                break
 
 
 class PublishedCode(Algorithm6):
