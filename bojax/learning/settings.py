@@ -52,6 +52,20 @@ class FourierBasisFeatures(FeatureSettings, frozen=True):
     )
 
 
+class NormalisedRBF(FeatureSettings, frozen=True):
+    """Normalised radial basis functions: local features, with which values do not extrapolate."""
+
+    target: ClassVar[str] = "bojax.learning.rbf_features:NormalisedRBFSpec"
+    kind: Literal["normalised-rbf"] = "normalised-rbf"
+    num_state_centres: int = Field(default=100, ge=1, description="number of centres in the observations")
+    num_action_centres: int = Field(
+        default=5, ge=1, description="number of centres in the actions; of a discrete space, one each"
+    )
+    width: float = Field(
+        default=1.0, gt=0, description="width of a function, in units of the mean distance of centres"
+    )
+
+
 class OneHot(FeatureSettings, frozen=True):
     """One-hot features: one for each pair of a discrete state and a discrete action."""
 
