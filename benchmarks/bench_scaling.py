@@ -47,6 +47,8 @@ def main(argv: Sequence[str]) -> int:
     if not args.results:
         with tempfile.TemporaryDirectory() as place:
             measure(args, Path(place), rows)
+    elif args.json:
+        save(rows, args.json)
     print_table(rows)
     if args.plot:
         plot(rows, args.plot)
@@ -86,7 +88,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--cached", action="store_true", help="leave out the first commands: all programs are cached"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results to a file")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the results to a file, or join those of --results"
+    )
     parser.add_argument(
         "--results", nargs="+", type=Path, default=[], metavar="FILE", help="run nothing; use earlier results"
     )
@@ -119,7 +123,13 @@ def measure(args: argparse.Namespace, place: Path, rows: list[Row]) -> None:
                 out = place / f"{name}-{runs}-{number}-{launcher}"
                 rows.append(timed(args, name, runs, number, launcher, out))
                 if args.json:
-                    args.json.write_text(json.dumps({"benchmark": "scaling", "rows": rows}) + "\n")
+                    save(rows, args.json)
+
+
+def save(rows: Sequence[Row], path: Path) -> None:
+    """Write the rows, one a line."""
+    lines = ",\n".join(json.dumps(row) for row in rows)
+    path.write_text('{"benchmark": "scaling", "rows": [\n' + lines + "\n]}\n")
 
 
 def count_gpus() -> int:
@@ -220,7 +230,7 @@ def measure_of(row: Row) -> str:
 
 def print_table(rows: Sequence[Row]) -> None:
     """Print the seconds and the speed-up of each measurement, in Markdown."""
-    print("\n| sweep | runs | GPUs | launcher | chunks, s | command, s | times one GPU | device-s |")
+    print("\n| sweep | runs | GPUs | launcher | chunks, s | command, s | speed-up | device-s |")
     print("|---|---|---|---|---|---|---|---|")
     for row in rows:
         ratio = speed_up(rows, row)

@@ -3,6 +3,7 @@
 import os
 import re
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +17,8 @@ class ChunkWatch:
     """Notes the begin and end of all chunks under a results folder, from a thread, while the context is open.
 
     A chunk begins when its attempt's folder is created, and ends when the file `.done` beside it is written:
-    the same for all launchers. Merging deletes both, therefore the folder is read all the time.
+    the same for all launchers. Merging deletes both, therefore the folder is read all the time. A chunk whose
+    ending is merged between two looks ends at the second.
 
     Args:
         out: Results folder of a sweep, or a folder of results folders.
@@ -45,14 +47,21 @@ class ChunkWatch:
 
     def _watch(self) -> None:
         while not self._stop.wait(INTERVAL):
-            for folder in (self._out / ".work", *self._out.glob("*/.work")):
-                for entry in _entries(folder):
-                    self._note(str(folder), entry)
+            now = {self._out / ".work", *self._out.glob("*/.work")}
+            for folder in now | {Path(folder) for folder, _ in self._begun}:
+                self._look(str(folder))
 
-    def _note(self, folder: str, entry: os.DirEntry[str]) -> None:
+    def _look(self, folder: str) -> None:
+        open_before = [at for at in self._begun if at[0] == folder and at not in self._ended]
+        seen = {self._note(folder, entry) for entry in _entries(Path(folder))}
+        for at in open_before:
+            if at[1] not in seen:
+                self._ended[at] = time.time()
+
+    def _note(self, folder: str, entry: os.DirEntry[str]) -> str | None:
         found = _ENTRY.fullmatch(entry.name)
         if found is None:
-            return
+            return None
         at = folder, found["chunk"]
         try:
             if found["done"] and at in self._begun:
@@ -61,6 +70,7 @@ class ChunkWatch:
                 self._begun[at] = os.stat(Path(entry.path) / "attempt.json").st_mtime
         except OSError:  # not written yet, or merged meanwhile
             pass
+        return found["chunk"]
 
 
 def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
