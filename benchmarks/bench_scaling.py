@@ -30,7 +30,7 @@ THESIS = "thesis"
 """`bojax reproduce all`, first with nothing cached on all GPUs."""
 
 EXAMPLES = """\
-  python benchmarks/bench_scaling.py                          1, 2, 4, ... up to all GPUs
+  python benchmarks/bench_scaling.py                          1, 2, 4, ... up to all GPUs, or a small one
   python benchmarks/bench_scaling.py --only parking --runs 256000 --devices 1 --json one.json
   python benchmarks/bench_scaling.py --launchers inline ray   the largest number of GPUs also through Ray
   python benchmarks/bench_scaling.py --device cpu --devices 1 2 --divide 1000    a small one, without GPUs
@@ -45,6 +45,7 @@ def main(argv: Sequence[str]) -> int:
     args = parse(argv)
     rows: list[Row] = [row for path in args.results for row in json.loads(path.read_text())["rows"]]
     if not args.results:
+        choose_devices(args)
         with tempfile.TemporaryDirectory() as place:
             measure(args, Path(place), rows)
     elif args.json:
@@ -67,7 +68,10 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--device", choices=("gpu", "cpu"), default="gpu", help="GPUs, or parts of a CPU (gpu)"
+        "--device",
+        choices=("auto", "gpu", "cpu"),
+        default="auto",
+        help="GPUs, or parts of a CPU (GPUs, or else small sweeps on parts of a CPU)",
     )
     parser.add_argument(
         "--devices", nargs="+", type=positive, metavar="N", help="numbers of GPUs (1, 2, 4, ..., all)"
@@ -108,7 +112,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 def measure(args: argparse.Namespace, place: Path, rows: list[Row]) -> None:
     """Append a row for each measurement, and keep the file up to date."""
-    numbers = sorted(args.devices) if args.devices else powers(count_gpus())
+    numbers = sorted(args.devices)
     for name in args.only:
         sizes = [0] if name == THESIS else args.runs or [runs // args.divide for runs in SWEEPS[name]]
         first = 0 if name == THESIS else LANES // args.divide
@@ -132,13 +136,32 @@ def save(rows: Sequence[Row], path: Path) -> None:
     path.write_text('{"benchmark": "scaling", "rows": [\n' + lines + "\n]}\n")
 
 
+def choose_devices(args: argparse.Namespace) -> None:
+    """Fill in what the command line leaves open, by the number of GPUs of this machine."""
+    if args.device == "cpu":
+        return
+    count = count_gpus()
+    if count:
+        args.device = "gpu"
+        args.devices = args.devices or powers(count)
+        if max(args.devices) > count:
+            sys.exit(
+                f"error: --devices: got {max(args.devices)}; allowed: 1 to {count}, the GPUs of this machine"
+            )
+    elif args.device == "gpu" or args.devices:
+        sys.exit("error: JAX finds no GPU; allowed: --device cpu --devices N ...")
+    else:
+        print("no GPU: a thousandth of the runs, on one and two parts of the CPU")
+        args.device, args.devices = "cpu", [1, 2]
+        if args.divide == 1 and not args.runs:
+            args.divide = 1000
+
+
 def count_gpus() -> int:
     """Number of GPUs that JAX finds, in a process of its own, which gives them back."""
     code = "import jax; print(jax.device_count('gpu'))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    if done.returncode:
-        sys.exit("error: JAX finds no GPU; allowed: --device cpu --devices N ...")
-    return int(done.stdout)
+    return 0 if done.returncode else int(done.stdout)
 
 
 def powers(count: int) -> list[int]:

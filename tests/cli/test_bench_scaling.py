@@ -102,3 +102,21 @@ def test_numbers_of_devices(bench):
         [1, 2, 4],
         [1, 2, 4, 8],
     ]
+
+
+def test_devices_of_the_machine(bench, monkeypatch, capsys):
+    def chosen(count, *words):
+        monkeypatch.setattr(bench, "count_gpus", lambda: count)
+        args = bench.parse(words)
+        bench.choose_devices(args)
+        return args.device, args.devices, args.divide
+
+    assert chosen(4) == ("gpu", [1, 2, 4], 1)
+    assert chosen(4, "--devices", "2", "3") == ("gpu", [2, 3], 1)
+    assert chosen(0) == ("cpu", [1, 2], 1000)
+    assert "no GPU" in capsys.readouterr().out
+    assert chosen(4, "--device", "cpu", "--devices", "2") == ("cpu", [2], 1)
+    with pytest.raises(SystemExit, match="--devices: got 8; allowed: 1 to 4, the GPUs of this machine"):
+        chosen(4, "--devices", "8")
+    with pytest.raises(SystemExit, match="JAX finds no GPU"):
+        chosen(0, "--devices", "1")
