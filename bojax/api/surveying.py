@@ -35,12 +35,18 @@ class SurveyResult:
 
     @cached_property
     def _table(self) -> pyarrow.Table:
-        return pyarrow.csv.read_csv(self.folder / "waypoints.csv")
+        name = "waypoints.csv" if len(self.routes) == 1 else "waypoints-1.csv"
+        return pyarrow.csv.read_csv(self.folder / name)
 
     @property
     def waypoints(self) -> np.ndarray:
-        """The proposed route, `[W, 2]` in metres."""
-        return np.array(self.candidates[0]["waypoints"])
+        """The proposed route, `[W, 2]` in metres; of several robots, the first one's."""
+        return self.routes[0]
+
+    @property
+    def routes(self) -> list[np.ndarray]:
+        """The proposed route of each robot, `[W, 2]` in metres."""
+        return [np.array(route) for route in self.candidates[0]["routes"]]
 
     @property
     def degrees(self) -> np.ndarray | None:
@@ -54,7 +60,7 @@ class SurveyResult:
     def candidates(self) -> list[dict[str, Any]]:
         """All routes that were compared, the proposed one first.
 
-        Each has `name`, `method`, `length`, `waypoints`, and the expected `errors` after `distances`.
+        Each has `name`, `method`, `length`, `routes`, and the expected `errors` after `distances`.
         """
         return self._plan["candidates"]
 
@@ -69,8 +75,8 @@ def survey(
     budget: float | str | None = None,
     time: str | None = None,
     speed: float | None = None,
-    start: Sequence[float] | None = None,
-    end: Sequence[float] | None = None,
+    start: Sequence[float] | Sequence[Sequence[float]] | None = None,
+    end: Sequence[float] | Sequence[Sequence[float]] | None = None,
     avoid: Sequence[str | Path] = (),
     below: float | None = None,
     prior: str | Path | None = None,
@@ -78,6 +84,8 @@ def survey(
     lengthscale: float | None = None,
     spacing: float | None = None,
     sampling: float | None = None,
+    robots: int = 1,
+    separation: float | None = None,
     lawnmower: bool = False,
     out: Folder | None = None,
 ) -> SurveyResult:
@@ -88,8 +96,8 @@ def survey(
         budget: Maximum length of the route, m, or text such as `"2km"`; without it, the area is covered.
         time: Maximum duration instead, such as `"40min"`; needs `speed`.
         speed: Speed of the robot, m/s.
-        start: First point, in the coordinates of `area`.
-        end: Last point.
+        start: First point, in the coordinates of `area`; of all robots, or a list with one for each.
+        end: Last point, or points.
         avoid: Files of no-go zones.
         below: Of a raster, only cells with values below this number are surveyed.
         prior: File of an earlier survey of the field, from which the model is learned.
@@ -98,6 +106,8 @@ def survey(
         lengthscale: Distance over which values are alike, m; learned or assumed by default.
         spacing: Least distance between two lines of a lawnmower, m.
         sampling: Distance between two measurements, m.
+        robots: Number of robots that survey at once, 1 to 4; each has the budget.
+        separation: Least distance of two robots at equal times, m, but for the first and last as many metres.
         lawnmower: Whether to compare lawnmowers only.
         out: New or empty folder; `results/survey/TIME` by default.
 
@@ -111,9 +121,11 @@ def survey(
     options = {"budget": budget, "time": time, "speed": speed, "below": below, "prior": prior}
     options |= {"goal": goal}
     options |= {"lengthscale": lengthscale, "spacing": spacing, "sampling": sampling, "out": folder}
-    for option, point in (("start", start), ("end", end)):
-        options[option] = None if point is None else ",".join(repr(float(value)) for value in point)
+    options |= {"robots": robots, "separation": separation}
     words = [f"--{option}={value}" for option, value in options.items() if value is not None]
+    for option, given in (("start", start), ("end", end)):
+        points = np.empty((0, 2)) if given is None else np.atleast_2d(np.asarray(given, float))
+        words += [f"--{option}={','.join(repr(float(value)) for value in point)}" for point in points]
     words += [f"--avoid={file}" for file in avoid] + (["--lawnmower"] if lawnmower else [])
     ended = run_in_child(["survey", name, *words], None)
     if ended.code != 0:

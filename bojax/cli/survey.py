@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bojax.cli.parser import Parser, UsageError, path
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.text import one_line
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from bojax.surveys.goals import Goal
     from bojax.surveys.place import Place
 
@@ -19,6 +21,7 @@ _EXAMPLES = """\
   bojax survey bay.geojson --budget 2km                     an optimised route, or the best lawnmower
   bojax survey depth.tif --below 0 --time 40min --speed 0.8 --start 10.21,54.37
   bojax survey 500x300 --spacing 20 --end 0,0               cover a rectangle with lines 20 m apart
+  bojax survey bay.geojson --budget 2km --robots 2 --separation 20
   bojax survey bay.kml --avoid farm.kml --prior last_year.csv --budget 5km --out results/bay
 """
 
@@ -54,13 +57,14 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
         from bojax.surveys.model import assumed_model, learned_model
         from bojax.surveys.place import read_place
         from bojax.surveys.planning import Demand, plan_survey
+        from bojax.surveys.team import keep_separation
 
         try:
             place = read_place(args.area, args.below)
             for file in args.avoid:
                 place = place.without(file)
             start, end = (
-                None if given is None else place.point(given, f"--{option}")
+                _ends(given, option, args.robots, place)
                 for option, given in (("start", args.start), ("end", args.end))
             )
             if args.prior is None:
@@ -68,7 +72,9 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             else:
                 model = learned_model(args.prior, place, args.lengthscale)
             goal = _goal(args.goal, place)
-            demand = Demand(budget, start, end, args.spacing, args.sampling, goal)
+            demand = Demand(
+                budget, start, end, args.spacing, args.sampling, goal, args.robots, args.separation
+            )
             survey = plan_survey(place.area, model, demand, optimises=not args.lawnmower)
         except ValueError as error:
             raise UsageError(one_line(error)) from error
@@ -80,6 +86,8 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
         if goal.needs_values and survey.weights.min() == survey.weights.max():
             reason = "without --prior, " if args.prior is None else f"in {args.prior}, "
             place = place.noted(f"All places count alike: {reason}nothing tells them apart for this goal.")
+        if not keep_separation(survey.chosen.routes, args.separation):
+            place = place.noted(f"No lawnmowers keep a separation of {args.separation:g} m.")
         for note in place.notes:
             print(f"note: {note}")
         files = write_survey(out, place, model, survey, demand, args.speed, command)
@@ -90,6 +98,19 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
     print(survey_summary(out))
     print(*files, page, sep="\n")
     return 0
+
+
+def _ends(
+    given: Sequence[tuple[float, float]], option: str, robots: int, place: "Place"
+) -> "np.ndarray | None":
+    """One point for all robots, or one for each, in metres of the place."""
+    import numpy as np
+
+    if len(given) not in (0, 1, robots):
+        allowed = "one" if robots == 1 else f"one, or {robots}, one for each robot"
+        raise UsageError(f"--{option}: got {len(given)} points; allowed: {allowed}")
+    points = [place.point(point, f"--{option}") for point in given]
+    return None if not points else points[0] if len(points) == 1 else np.array(points)
 
 
 def _goal(given: tuple[str, str], place: "Place") -> "Goal":
@@ -118,7 +139,7 @@ def _parser(name: str) -> Parser:
         "AREA [--budget LENGTH | --time TIME --speed M/S] [--start X,Y] [--end X,Y]\n"
         "                    [--avoid FILE]... [--below V] [--prior FILE] [--lengthscale M] [--spacing M]\n"
         "                    [--goal map|hotspots|threshold=V|region=FILE] [--sampling M]\n"
-        "                    [--lawnmower] [--out DIR]",
+        "                    [--robots N] [--separation M] [--lawnmower] [--out DIR]",
         _DESCRIPTION,
         _EXAMPLES,
     )
@@ -129,9 +150,14 @@ def _parser(name: str) -> Parser:
     parser.option("--time", "TIME", "duration instead, such as 40min or 1h30min; needs --speed", _duration)
     parser.option("--speed", "M/S", "speed of the robot, m/s", _positive)
     parser.option(
-        "--start", "X,Y", "first point (default: free); --start=-3,5 if it begins with a minus", _point
-    )
-    parser.option("--end", "X,Y", "last point (default: free)", _point)
+        "--start", "X,Y", "first point (default: free); --start=-3,5 if it begins with a minus", _point,
+        action="append", default=[],
+    )  # fmt: skip
+    parser.option("--end", "X,Y", "last point (default: free)", _point, action="append", default=[])
+    robots = "robots that survey at once, 1 to 4; --start and --end are for all, or repeated for each"
+    parser.option("--robots", "N", robots, integer, default=1, choices=range(1, 5))
+    apart = "least distance of two robots at equal times, but for the first and last M metres (default: any)"
+    parser.option("--separation", "M", apart, _positive, default=0.0)
     avoid = "no-go zones: polygons, or a raster with data in them; may be repeated"
     parser.option("--avoid", "FILE", avoid, action="append", default=[])
     parser.option("--below", "V", "of a raster, only cells with values below V: 0 for the sea", _number)

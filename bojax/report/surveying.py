@@ -22,6 +22,8 @@ from bojax.results.store import read_json, write_content
 SURVEY, ARRAYS = "survey.json", "survey.npz"
 """The files of a survey: what was asked and found, and the arrays of its map."""
 
+_STARTS = ("o", "^", "D", "v")  # markers of the ends of each robot's route
+
 
 def build_survey_page(folder: Path) -> Path:
     """Write the figures and `report.html` of a planned survey, and return the path of the page."""
@@ -60,9 +62,11 @@ def survey_summary(folder: Path) -> str:
 def _summary(survey: Mapping[str, Any]) -> str:
     chosen, mower = survey["candidates"][0], _lawnmower(survey)
     before = chosen["errors"][0]
+    robots = len(chosen["routes"])
+    each = "" if robots == 1 else f" at most for each of {robots} robots"
     text = (
         f"The best of {counted(len(survey['candidates']), 'candidate')} is: {chosen['name']}, "
-        f"{_distance(chosen['length'])} long. It takes the mean standard deviation "
+        f"{_distance(chosen['length'])} long{each}. It takes the mean standard deviation "
         f"{survey['goal']['meaning']} from {number(before)} to {number(chosen['errors'][-1])}"
     )
     if chosen is mower:
@@ -87,14 +91,15 @@ def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Dr
     """The route on a map of the expected standard deviation."""
     chosen = survey["candidates"][0]
     drawn, axes, scale = _draw_map(survey, maps, "after", "expected standard deviation after the survey")
-    route = np.asarray(chosen["waypoints"]) / scale
-    axes.plot(*route.T, color=style.BLUE, linewidth=1.1)
-    axes.plot(*route[0], marker="o", color=style.BLUE, markersize=5)
-    axes.plot(*route[-1], marker="s", color=style.BLUE, markersize=5)
+    for index, waypoints in enumerate(chosen["routes"]):
+        route, colour, dashes = np.asarray(waypoints) / scale, style.PALETTE[index], style.LINES[index]
+        axes.plot(*route.T, color=colour, linestyle=dashes, linewidth=1.1)
+        axes.plot(*route[0], marker=_STARTS[index], color=colour, markersize=5)
+        axes.plot(*route[-1], marker=_STARTS[index], color=colour, markersize=5, fillstyle="none")
     return Drawing(
         drawn,
         "Route",
-        f"The proposed route ({chosen['name']}), from the dot to the square, on the standard "
+        f"The proposed route ({chosen['name']}), from the filled marker to the empty one, on the standard "
         "deviation that the model expects after it. x is to the east and y to the north of the lower left "
         "corner of the area.",
         f"A route of {_distance(chosen['length'])} in the area; {chosen['name']}.",
@@ -192,7 +197,11 @@ def _draw_errors(survey: Mapping[str, Any]) -> Drawing:
 def _table(survey: Mapping[str, Any]) -> Table:
     rows = []
     for each in survey["candidates"]:
-        cells = [_distance(each["length"]), number(each["errors"][-1]), str(len(each["waypoints"]))]
+        cells = [
+            _distance(each["length"]),
+            number(each["errors"][-1]),
+            ", ".join(str(len(route)) for route in each["routes"]),
+        ]
         rows.append((each["name"], [Cell(text) for text in cells]))
     caption = (
         "All routes that were compared, the proposed one first. Error: mean standard deviation "

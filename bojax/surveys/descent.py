@@ -1,5 +1,6 @@
-"""Descent of all waypoints of many routes at once, under a hard budget of length."""
+"""Descent of all waypoints of many routes of one or several robots at once, under a hard budget."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.linalg import matmul
-from bojax.surveys.information import PointErrors, path_length, points_at, samples_along
+from bojax.surveys.information import PointErrors, path_length, points_at, samples_of_all
 
 EXACT = 1.0 - 1e-12  # share of the budget that is used, so that rounding does not exceed it
 
@@ -92,13 +93,13 @@ class Models(eqx.Module):
 
     def mean_error(
         self,
-        route: Float[Array, "W 2"],
+        routes: Float[Array, "K W 2"],
         spacing: Float[Array, ""] | float,
         number: int,
         samples_per_point: Float[Array, ""] | float = 1.0,
     ) -> Scalar:
-        """Expected root mean squared error after a route, averaged over the beliefs."""
-        sampled = samples_along(route, spacing, number)
+        """Expected root mean squared error after the routes of all robots, averaged over the beliefs."""
+        sampled = samples_of_all(routes, spacing, number)
         indices = jnp.arange(self.maps.shape[0], dtype=jnp.int32)
         return jnp.mean(jax.lax.map(lambda index: self.error(index, *sampled, samples_per_point), indices))
 
@@ -110,14 +111,34 @@ class Limits(eqx.Module):
         distance: Signed distance to the border of the area, m, negative outside; None without a border.
         clearance: Distance that the route keeps from the border, m.
         turning_radius: Least radius of its turns, m; 0 for any.
+        separation: Least distance between two robots that have driven equally far, m; 0 for any.
     """
 
     distance: PyTree
     clearance: Float[Array, ""]
     turning_radius: Float[Array, ""]
+    separation: Float[Array, ""]
 
-    def penalty(self, route: Float[Array, "W 2"], step: Float[Array, ""], number: int) -> Scalar:
-        """Penalty of the points at every `step` metres of a route; 0 if it keeps all limits there."""
+    def penalty(self, routes: Float[Array, "K W 2"], step: Float[Array, ""], number: int) -> Scalar:
+        """Penalty of the points at every `step` metres of all routes; 0 if they keep all limits there."""
+        each = jax.vmap(lambda route: self._penalty_of_one(route, step, number))(routes)
+        return jnp.sum(each) + self._closeness(routes, step, number)
+
+    def _closeness(self, routes: Float[Array, "K W 2"], step: Float[Array, ""], number: int) -> Scalar:
+        """Squared lack of distance of each pair of robots; both ends, which may be common, are left out."""
+        distances = step * jnp.arange(1, number, dtype=routes.dtype)
+        points = jax.vmap(points_at, (0, None))(routes, distances)
+        total = jnp.zeros((), routes.dtype)
+        for first in range(len(routes)):
+            for second in range(first):
+                squared = jnp.sum((points[first] - points[second]) ** 2, axis=-1)
+                # Squares, since the root of 0 has no gradient; in units of the separation.
+                least = jnp.maximum(self.separation, jnp.finfo(routes.dtype).tiny) ** 2
+                total = total + jnp.mean(jnp.maximum(1.0 - squared / least, 0.0))
+        return jnp.where(self.separation > 0.0, total, 0.0)
+
+    def _penalty_of_one(self, route: Float[Array, "W 2"], step: Float[Array, ""], number: int) -> Scalar:
+        """Penalty of the points at every `step` metres of a route for the border and the turns."""
         points = points_at(route, step * jnp.arange(number + 1, dtype=route.dtype))
         total = jnp.zeros((), route.dtype)
         if self.distance is not None:
@@ -130,8 +151,8 @@ class Limits(eqx.Module):
 
 @eqx.filter_jit
 def descend(
-    first: Float[Array, "R W 2"],
-    ends: Ends,
+    first: Float[Array, "R K W 2"],
+    ends: Sequence[Ends],
     budget: Float[Array, ""],
     models: Models,
     limits: Limits,
@@ -140,20 +161,20 @@ def descend(
     samples_per_point: Float[Array, ""] | float,
     num_steps: int,
     rate: Float[Array, ""],
-) -> Float[Array, "R W 2"]:
+) -> Float[Array, "R K W 2"]:
     """Routes of small expected error, by Adam from first guesses.
 
     Step t descends the error under belief t mod Q: a step costs as much as under one belief, and the average
     over them is minimised as the rate goes to zero.
 
     Args:
-        first: First guesses.
-        ends: Fixed ends.
-        budget: Maximum length, m.
+        first: First guesses, each one route for every robot.
+        ends: Fixed ends of each robot.
+        budget: Maximum length of each route, m.
         models: Plausible beliefs.
         limits: Limits of the routes.
         spacing: Distance of two samples of the optimisation, m.
-        number: Number of samples that the budget allows.
+        number: Number of samples that the budget allows to each robot.
         samples_per_point: Number of measurements that each of them stands for.
         num_steps: Number of steps of Adam.
         rate: Its first rate, m, which decays to zero along a cosine.
@@ -165,17 +186,25 @@ def descend(
 
     adam = optax.adam(rate_at)
 
-    def loss(points: Float[Array, "W 2"], step: Int[Array, ""]) -> Scalar:
-        route = within_budget(points, ends, budget)
-        error = models.error(step % num_models, *samples_along(route, spacing, number), samples_per_point)
+    def drawn_in(points: Float[Array, "K W 2"]) -> Float[Array, "K W 2"]:
+        together = zip(points, ends, strict=True)
+        return jnp.stack([within_budget(each, fixed, budget) for each, fixed in together])
+
+    def loss(points: Float[Array, "K W 2"], step: Int[Array, ""]) -> Scalar:
+        routes = drawn_in(points)
+        samples, is_taken = samples_of_all(routes, spacing, number)
+        error = models.error(step % num_models, samples, is_taken, samples_per_point)
         # Waypoints beyond the budget are drawn in; the second penalty keeps them from running away.
-        excess = jnp.maximum(path_length(ends.fixed(points)) / budget - 1.0, 0.0)
+        lengths = jnp.stack(
+            [path_length(fixed.fixed(each)) for each, fixed in zip(points, ends, strict=True)]
+        )
+        excess = jnp.sum(jnp.maximum(lengths / budget - 1.0, 0.0) ** 2)
         scale = models.errors.variance.mean() ** 0.5
         # Half the sampling distance, so that no corner of a forbidden zone lies between two points.
-        allowed = limits.penalty(route, spacing / 2.0, 2 * number)
-        return error + scale * (allowed + excess**2)
+        allowed = limits.penalty(routes, spacing / 2.0, 2 * number)
+        return error + scale * (allowed + excess)
 
-    def descended(points: Float[Array, "W 2"]) -> Float[Array, "W 2"]:
+    def descended(points: Float[Array, "K W 2"]) -> Float[Array, "K W 2"]:
         def step(number, carry):
             points, state = carry
             gradient = jax.grad(loss)(points, number)
@@ -184,6 +213,6 @@ def descend(
             return points + jnp.asarray(updates), state
 
         points, _ = jax.lax.fori_loop(0, num_steps, step, (points, adam.init(points)))
-        return within_budget(points, ends, budget)
+        return drawn_in(points)
 
     return jax.vmap(descended)(first)

@@ -11,6 +11,7 @@ from bojax.surveys.model import FieldModel
 from bojax.surveys.place import Place
 from bojax.surveys.planning import Candidate, Demand, Survey
 from bojax.surveys.shapes import rings_of, to_shape
+from bojax.surveys.team import least_distance
 from bojax.surveys.waypoints import write_waypoints
 
 
@@ -30,7 +31,10 @@ def write_survey(
     `outline [P, 2]` with `ring_ends`.
     """
     make_folder(folder)
-    files = write_waypoints(folder, survey.chosen.waypoints, place.projection, speed)
+    files = []
+    for number, route in enumerate(survey.chosen.routes, start=1):
+        stem = "waypoints" if demand.robots == 1 else f"waypoints-{number}"
+        files += write_waypoints(folder, route, place.projection, speed, stem)
     rings = rings_of(to_shape(place.area))
     arrays = {
         "grid": survey.grid,
@@ -77,6 +81,12 @@ def _settings(
         "goal": f"least mean standard deviation {demand.goal.meaning}",
         "budget": "none: the area is covered" if budget is None else f"{budget:.6g} m",
     }
+    if demand.robots > 1:
+        apart = least_distance(chosen.routes, demand.separation)
+        rows["robots"] = f"{demand.robots}, each with the budget"
+        rows["least distance of two robots"] = f"{apart:.4g} m at equal times" + (
+            f", but for the first and last {demand.separation:g} m" if demand.separation else ""
+        )
     if survey.lines is not None:
         rows["distance between lines"] = f"{survey.lines:.4g} m"
     if speed is not None:
@@ -94,5 +104,5 @@ def _plain(candidate: Candidate) -> dict[str, Any]:
         "length": candidate.length,
         "distances": candidate.distances.tolist(),
         "errors": candidate.errors.tolist(),
-        "waypoints": candidate.waypoints.tolist(),
+        "routes": [route.tolist() for route in candidate.routes],
     }

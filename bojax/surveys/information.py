@@ -7,6 +7,7 @@ B B' = c(Z, Z) + noise.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Scalar
 
@@ -50,6 +51,14 @@ def samples_along(
     # A polyline that uses its budget ends at its last sample but for rounding.
     is_taken = distances <= path_length(waypoints) + 1e-9 * distances[-1]
     return points_at(waypoints, distances), is_taken
+
+
+def samples_of_all(
+    routes: Float[Array, "K W 2"], spacing: Float[Array, ""] | float, number: int
+) -> tuple[Float[Array, "S 2"], Bool[Array, "S"]]:
+    """Samples at every `spacing` metres of all routes; those at equal distances are neighbours."""
+    samples, is_taken = jax.vmap(lambda route: samples_along(route, spacing, number))(routes)
+    return jnp.swapaxes(samples, 0, 1).reshape(-1, 2), is_taken.T.reshape(-1)
 
 
 class PointErrors(eqx.Module):

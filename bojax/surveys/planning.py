@@ -10,17 +10,12 @@ import numpy as np
 from bojax.surveys.area import Area
 from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
-from bojax.surveys.lawnmower import (
-    DIRECTIONS,
-    Ground,
-    check_budget,
-    lawnmower,
-    lawnmowers_within,
-)
+from bojax.surveys.lawnmower import DIRECTIONS, Ground, check_budget
 from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
-from bojax.surveys.route import RouteOptions, plan_route
+from bojax.surveys.route import RouteOptions, plan_routes
 from bojax.surveys.shapes import shapely_module, to_shape
+from bojax.surveys.team import keep_separation, team_lawnmowers
 
 GRID_POINTS = 1500
 """Number of points at which the error counts."""
@@ -42,14 +37,14 @@ class Candidate:
     Attributes:
         method: `lawnmower` or `route`.
         detail: What distinguishes it from others of its method.
-        waypoints: `[W, 2]`, m.
-        distances: Distances from the start, m; 0 first.
+        routes: Waypoints `[W, 2]` of each robot, m.
+        distances: Distances from the start, which all robots drive at once, m; 0 first.
         errors: Mean standard deviation, weighted by the goal, after the measurements up to each distance.
     """
 
     method: str
     detail: str
-    waypoints: np.ndarray
+    routes: tuple[np.ndarray, ...]
     distances: np.ndarray
     errors: np.ndarray
 
@@ -60,8 +55,8 @@ class Candidate:
 
     @property
     def length(self) -> float:
-        """Length of the route, m."""
-        return length_of(self.waypoints)
+        """Length of the longest of the routes, m."""
+        return max(map(length_of, self.routes))
 
     @property
     def error(self) -> float:
@@ -74,13 +69,15 @@ class Demand:
     """What is asked of a route.
 
     Attributes:
-        budget: Maximum length, m; None to cover the area with lines at `spacing`.
-        start: First point, m; free if None.
-        end: Last point, m; free if None.
+        budget: Maximum length of each route, m; None to cover the area with lines at `spacing`.
+        start: First point, m, of all robots `[2]` or of each `[K, 2]`; free if None.
+        end: Last point, m, of all robots or of each; free if None.
         spacing: Least distance between two lines, m; None for none with a budget, and for the lengthscale of
             the model without.
         sampling: Distance between two measurements, m; None for a fifth of the lengthscale.
         goal: What the survey is for.
+        robots: Number of robots.
+        separation: Least distance of two robots that have driven equally far, m, as of `plan_routes`.
     """
 
     budget: float | None = None
@@ -89,6 +86,18 @@ class Demand:
     spacing: float | None = None
     sampling: float | None = None
     goal: Goal = field(default_factory=Goal)
+    robots: int = 1
+    separation: float = 0.0
+
+    @property
+    def starts(self) -> list[np.ndarray | None]:
+        """The start of each robot."""
+        return _of_each(self.start, self.robots)
+
+    @property
+    def ends(self) -> list[np.ndarray | None]:
+        """The end of each robot."""
+        return _of_each(self.end, self.robots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +152,11 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     Raises:
         ValueError: The ends cannot be reached within the budget, or are not in the area.
     """
-    known_end = demand.start if demand.start is not None else demand.end
-    ground = Ground.of(area, known_end)
+    known = [end for end in (*demand.starts, *demand.ends) if end is not None]
+    ground = Ground.of(area, known[0] if known else None)
     if demand.budget is not None:
-        check_budget(ground, demand.budget, demand.start, demand.end)
+        for start, end in zip(demand.starts, demand.ends, strict=True):
+            check_budget(ground, demand.budget, start, end)
     part, goal = Area(tuple(ground.rings)), demand.goal
     counting = ground if goal.region is None else _within(ground, goal.region)
     routes, lines = _lawnmowers(counting, model, demand)
@@ -157,10 +167,10 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     spacing = math.sqrt(counting.size / GRID_POINTS)
     belief, grid = model.belief(), Area(tuple(counting.rings)).grid(spacing)
     weights = goal.weights(*model.predict(grid))
-    longest = max(length_of(route) for _, route in routes)
+    longest = max(length_of(route) for _, together in routes for route in together)
     sampling = demand.sampling or model.lengthscale / 5.0
     errors = PointErrors.of(belief, jnp.asarray(grid), jnp.asarray(weights))
-    outcomes = _Outcomes(errors, sampling, demand.budget or longest)
+    outcomes = _Outcomes(errors, sampling, demand.budget or longest, demand.robots)
     found = [outcomes.of("lawnmower", detail, route) for detail, route in routes]
     # Without a budget every candidate covers the area: the shortest one is the best.
     found.sort(key=lambda each: each[0].length if demand.budget is None else each[0].error)
@@ -169,6 +179,8 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
         if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget)):
             found.append(outcomes.of("route", *route))
             found.sort(key=lambda each: each[0].error)
+    # Robots that come closer than asked are proposed only if no candidate keeps its distance.
+    found.sort(key=lambda each: not keep_separation(each[0].routes, demand.separation))
     return Survey(
         candidates=tuple(candidate for candidate, _ in found),
         grid=grid,
@@ -184,25 +196,26 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
 
 def _optimised(
     model: FieldModel, area: Area, demand: Demand, guesses: Sequence[Candidate], sampling: float
-) -> tuple[str, np.ndarray] | None:
-    """The route that `plan_route` finds, with its origin; None if it prefers one of the guesses."""
+) -> tuple[str, Sequence[np.ndarray]] | None:
+    """The routes that `plan_routes` finds, with their origin; None if it prefers one of the guesses."""
     assert demand.budget is not None
-    corners = max(len(guess.waypoints) for guess in guesses)
+    corners = max(len(route) for guess in guesses for route in guess.routes)
     # Multiples of 16, since each number of waypoints compiles a program of its own.
     options = RouteOptions(waypoints=int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS)))
-    route = plan_route(
+    found = plan_routes(
         model.belief(),
         area,
         demand.budget,
-        demand.start,
-        demand.end,
-        {guess.name: guess.waypoints for guess in guesses},
+        demand.starts,
+        demand.ends,
+        {guess.name: guess.routes for guess in guesses},
         spacing=sampling,
         weight=lambda points: demand.goal.weights(*model.predict(points)),
         target=demand.goal.region,
+        separation=demand.separation,
         options=options,
     )
-    return None if any(route.chosen == guess.name for guess in guesses) else (route.chosen, route.waypoints)
+    return None if any(found.chosen == guess.name for guess in guesses) else (found.chosen, found.routes)
 
 
 def _within(ground: Ground, region: Area) -> Ground:
@@ -224,40 +237,53 @@ class _Outcomes:
         errors: The belief before.
     """
 
-    def __init__(self, errors: PointErrors, sampling: float, longest: float):
+    def __init__(self, errors: PointErrors, sampling: float, longest: float, robots: int):
         """Prepare routes of at most `longest` metres with a measurement at every `sampling` metres."""
         self.errors = errors
-        self._number = int(min(MOST_SAMPLES, max(1, longest * (1.0 + 1e-9) // sampling)))
+        self._number = int(min(MOST_SAMPLES // robots, max(1, longest * (1.0 + 1e-9) // sampling)))
         self._step = max(sampling, longest / self._number)
         self._per_sample = self._step / sampling
 
-    def of(self, method: str, detail: str, route: np.ndarray) -> tuple[Candidate, np.ndarray]:
-        """A route as a candidate, and the variances at the grid after it."""
+    def of(self, method: str, detail: str, routes: Sequence[np.ndarray]) -> tuple[Candidate, np.ndarray]:
+        """The routes of all robots as a candidate, and the variances at the grid after them."""
         distances = self._step * np.arange(1, self._number + 1)
-        is_taken = distances <= length_of(route) * (1.0 + 1e-9)
-        samples = jnp.asarray(points_along(route, distances))
-        curve, variance = left_by(self.errors, samples, jnp.asarray(is_taken), jnp.asarray(self._per_sample))
-        taken = int(is_taken.sum())
+        # Samples of all robots at one distance are neighbours: the curve is cut after each distance.
+        lengths = np.array([length_of(route) for route in routes])
+        is_taken = distances[:, None] <= lengths * (1.0 + 1e-9)
+        samples = np.stack([points_along(route, distances) for route in routes], axis=1).reshape(-1, 2)
+        per_sample = jnp.asarray(self._per_sample)
+        curve, variance = left_by(
+            self.errors, jnp.asarray(samples), jnp.asarray(is_taken.ravel()), per_sample
+        )
+        taken = int(is_taken.any(axis=1).sum())
         driven = self._step * np.arange(taken + 1)
-        candidate = Candidate(method, detail, route, driven, np.asarray(curve)[: taken + 1])
+        errors = np.asarray(curve)[:: len(routes)][: taken + 1]
+        candidate = Candidate(method, detail, tuple(routes), driven, errors)
         return candidate, np.asarray(variance)
 
 
 def _lawnmowers(
     ground: Ground, model: FieldModel, demand: Demand
-) -> tuple[list[tuple[str, np.ndarray]], float | None]:
-    """Lawnmowers in all directions, each with its direction, and the distance of lines without a budget."""
+) -> tuple[list[tuple[str, list[np.ndarray]]], float | None]:
+    """Lawnmowers of all robots by direction, and the distance of lines without a budget."""
     lines = None if demand.budget is not None else demand.spacing or model.lengthscale
     routes = []
     for index in range(DIRECTIONS):
         angle = math.pi * index / DIRECTIONS
         detail = f"lines at {180 * index / DIRECTIONS:g}\N{DEGREE SIGN}"
-        if demand.budget is None:
-            assert lines is not None
-            routes.append((detail, lawnmower(ground, lines, angle, demand.start, demand.end)))
-            continue
-        found = lawnmowers_within(
-            ground, demand.budget, angle, demand.start, demand.end, demand.spacing or 0.0
+        found = team_lawnmowers(
+            ground,
+            demand.robots,
+            angle,
+            demand.starts,
+            demand.ends,
+            demand.budget,
+            lines or demand.spacing or 0.0,
         )
-        routes += [(detail if i == 0 else f"{detail}, cut", route) for i, route in enumerate(found)]
+        routes += [(detail if i == 0 else f"{detail}, cut", together) for i, together in enumerate(found)]
     return routes, lines
+
+
+def _of_each(given: np.ndarray | None, number: int) -> list[np.ndarray | None]:
+    """The end of each robot, of one for all or one for each."""
+    return [None] * number if given is None else list(np.broadcast_to(given, (number, 2)))

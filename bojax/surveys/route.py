@@ -1,6 +1,6 @@
 """Routes that leave the least expected error: all waypoints of many routes descended at once."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from bojax.surveys.area import Area
 from bojax.surveys.descent import Ends, Limits, Models, descend
 from bojax.surveys.guesses import parallel_lines, tour
 from bojax.surveys.polylines import Waypoints, driven_at, length_of, points_along, with_waypoints
+from bojax.surveys.team import keep_separation, split_points
 
 ROUNDING = 1e-9  # share of a length that may be exceeded by rounding
 NUM_SAMPLES = 100  # of a route while it is descended; each stands for several measurements, or a part of one
@@ -68,6 +69,23 @@ class Route:
     candidates: dict[str, float]
 
 
+@dataclass(frozen=True)
+class Routes:
+    """Routes that were planned together, one for each robot.
+
+    Attributes:
+        routes: Waypoints of each, start and end included, m; each is at most as long as the budget.
+        error: As of a `Route`, after the measurements of all robots.
+        chosen: As of a `Route`.
+        candidates: As of a `Route`.
+    """
+
+    routes: tuple[Waypoints, ...]
+    error: float
+    chosen: str
+    candidates: dict[str, float]
+
+
 def plan_route(
     posterior: GaussianProcess,
     area: Area,
@@ -106,48 +124,114 @@ def plan_route(
         ValueError: A number is out of range, an end or the target lies outside the area, the budget
             does not reach from start to end, or no candidate stays in the area within the budget.
     """
+    given = {name: [guess] for name, guess in (first_guesses or {}).items()}
+    found = plan_routes(
+        posterior, area, budget, [start], [end], given, key,
+        spacing=spacing, weight=weight, target=target, options=options,
+    )  # fmt: skip
+    (route,) = found.routes
+    return Route(route, length_of(route), found.error, found.chosen, found.candidates)
+
+
+def plan_routes(
+    posterior: GaussianProcess,
+    area: Area,
+    budget: float,
+    starts: Sequence[Any],
+    ends: Sequence[Any],
+    first_guesses: Mapping[str, Sequence[Any]] | None = None,
+    key: Key[Array, ""] | None = None,
+    *,
+    spacing: float,
+    weight: Any = None,
+    target: Area | None = None,
+    separation: float = 0.0,
+    options: RouteOptions | None = None,
+) -> Routes:
+    """The routes of several robots that leave the least expected error together, as `plan_route`.
+
+    Args:
+        posterior: As of `plan_route`.
+        area: As of `plan_route`.
+        budget: Maximum length of each route, m.
+        starts: Fixed start of each robot, m; None for a free one.
+        ends: Fixed end of each robot, m; None for a free one.
+        first_guesses: Routes of all robots by name.
+        key: As of `plan_route`.
+        spacing: As of `plan_route`.
+        weight: As of `plan_route`.
+        target: As of `plan_route`.
+        separation: Least distance of two robots that have driven equally far, m, except at the first and the
+            last `separation` metres of their routes, so that they may share a mooring.
+        options: As of `plan_route`.
+
+    Raises:
+        ValueError: As `plan_route`, or no candidate keeps the separation.
+    """
     options = RouteOptions() if options is None else options
     dtype = posterior.y.dtype
-    start, end = (_end(name, at, area) for name, at in (("start", start), ("end", end)))
-    _check(budget, spacing, start, end)
+    starts = [_end("start", at, area) for at in starts]
+    ends = [_end("end", at, area) for at in ends]
+    for start, end in zip(starts, ends, strict=True):
+        _check(budget, spacing, start, end)
     key = jax.random.key(0) if key is None else key
     random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
-    given = {name: fitted(guess, budget, start, end) for name, guess in (first_guesses or {}).items()}
+    given = {
+        name: [fitted(each, budget, *pair) for each, *pair in zip(guess, starts, ends, strict=True)]
+        for name, guess in (first_guesses or {}).items()
+    }
     points, scored = (_counting(area, target, number) for number in (NUM_GRID, NUM_SCORED))
-    guesses = given | _own_guesses(points, budget, start, end, options.restarts - len(given), random)
+    guesses = given | _own_guesses(points, budget, starts, ends, options.restarts - len(given), random)
 
     maps = jnp.asarray(plausible_maps(options), dtype)
     descent, final = (_models(posterior, jnp.asarray(grid, dtype), maps, weight) for grid in (points, scored))
-    size = _extent(area)
-    ends = Ends(*(None if at is None else jnp.asarray(at, dtype) for at in (start, end)))
+    size, number = _extent(area), samples_of_each(len(starts))
+    fixed = [
+        Ends(*(None if at is None else jnp.asarray(at, dtype) for at in pair))
+        for pair in zip(starts, ends, strict=True)
+    ]
     distance = jax.tree.map(lambda leaf: leaf.astype(dtype), area.distance_grid(size / 200))
-    limits = Limits(distance, *(jnp.asarray(x, dtype) for x in (size / 200, options.turning_radius)))
-    first = np.stack([with_waypoints(guess, options.waypoints) for guess in guesses.values()])
-    step, rate = (jnp.asarray(x, dtype) for x in (budget / NUM_SAMPLES, options.rate * size))
+    limits = (size / 200, options.turning_radius, separation)
+    limits = Limits(distance, *(jnp.asarray(x, dtype) for x in limits))
+    first = np.stack(
+        [[with_waypoints(each, options.waypoints) for each in guess] for guess in guesses.values()]
+    )
+    step, rate = (jnp.asarray(x, dtype) for x in (budget / number, options.rate * size))
     routes = descend(
         jnp.asarray(first, dtype),
-        ends,
+        fixed,
         jnp.asarray(budget, dtype),
         descent,
         limits,
         step,
-        NUM_SAMPLES,
+        number,
         step / spacing,
         options.steps,
         rate,
     )
-    found = {f"optimised from {name}": np.asarray(r) for name, r in zip(guesses, routes, strict=True)}
+    found = {f"optimised from {name}": list(np.asarray(r)) for name, r in zip(guesses, routes, strict=True)}
     candidates = {
-        name: route
-        for name, route in (given | found).items()
-        if length_of(route) <= budget * (1.0 + ROUNDING) and stays_inside(route, area)
+        name: together
+        for name, together in (given | found).items()
+        if all(length_of(each) <= budget * (1.0 + ROUNDING) and stays_inside(each, area) for each in together)
     }
     if not candidates:
         raise ValueError(
             f"route: none of {len(found)} routes of {budget:g} m stays in the area; allowed: a larger "
             f"budget, or a first guess that does"
         )
+    if separation > 0.0:
+        candidates = {name: each for name, each in candidates.items() if keep_separation(each, separation)}
+    if not candidates:
+        raise ValueError(
+            f"separation: got {separation:g} m, which no candidate keeps; allowed: a smaller one"
+        )
     return _best(candidates, final, budget, spacing, options.waypoints, dtype)
+
+
+def samples_of_each(num_robots: int) -> int:
+    """Number of samples of each robot while routes are descended: the time grows with the cube of all."""
+    return int(NUM_SAMPLES / num_robots**0.5)
 
 
 def stays_inside(route: Waypoints, area: Area) -> bool:
@@ -212,40 +296,51 @@ def plausible_maps(options: RouteOptions) -> np.ndarray:
     return np.array(maps)
 
 
-def _own_guesses(points, budget, start, end, number, random) -> dict[str, Waypoints]:
-    """Parallel lines in several directions, then tours; at most `number`."""
+def _own_guesses(points, budget, starts, ends, number, random) -> dict[str, list[Waypoints]]:
+    """Parallel lines in several directions, then tours, in a strip for each robot; at most `number`."""
     guesses = {}
     for index in range(max(number, 0)):
+        angle = np.pi * (index % DIRECTIONS) / DIRECTIONS
+        strips = split_points(points, len(starts), angle, starts, ends)
+        together = list(zip(strips, starts, ends, strict=True))
         if index < DIRECTIONS:
-            angle = np.pi * index / DIRECTIONS
             name = f"lines at {np.degrees(angle):.0f} degrees"
-            guesses[name] = parallel_lines(points, angle, budget, start, end)
+            guesses[name] = [parallel_lines(strip, angle, budget, at, to) for strip, at, to in together]
             continue
-        # A tour through n points of an area a is about 0.7 sqrt(n a) long.
-        size = np.prod(np.ptp(points, axis=0))
-        stops = int(np.clip((budget / 0.7) ** 2 / size, 3, 40))
-        guesses[f"tour {index - DIRECTIONS + 1}"] = tour(points, stops, start, end, random)
+        name = f"tour {index - DIRECTIONS + 1}"
+        guesses[name] = [tour(strip, _stops(strip, budget), at, to, random) for strip, at, to in together]
     return guesses
 
 
-def _best(candidates: dict[str, Waypoints], final: Models, budget, spacing, least, dtype) -> Route:
+def _stops(points: Waypoints, budget: float) -> int:
+    # A tour through n points of an area a is about 0.7 sqrt(n a) long.
+    size = np.prod(np.ptp(points, axis=0))
+    return int(np.clip((budget / 0.7) ** 2 / size, 3, 40))
+
+
+def _best(candidates: dict[str, list[Waypoints]], final: Models, budget, spacing, least, dtype) -> Routes:
     """The candidate of least error."""
-    number = max(least, *(len(route) for route in candidates.values()))
-    together = [jnp.asarray(with_waypoints(route, number), dtype) for route in candidates.values()]
+    number = max(least, *(len(route) for together in candidates.values() for route in together))
+    stacked = [
+        jnp.asarray(np.stack([with_waypoints(route, number) for route in together]), dtype)
+        for together in candidates.values()
+    ]
     # Twice as many samples as in the descent: the number is fixed, so that no budget compiles anew.
-    step = jnp.asarray(budget / (2 * NUM_SAMPLES), dtype)
-    errors = [float(_error(final, route, step, step / spacing)) for route in together]
+    samples = 2 * samples_of_each(len(stacked[0]))
+    step = jnp.asarray(budget / samples, dtype)
+    errors = [float(_error(final, routes, step, samples, step / spacing)) for routes in stacked]
     order = np.argsort(errors, kind="stable")
     names = list(candidates)
     chosen = names[order[0]]
-    route = candidates[chosen]
     scores = {names[index]: errors[index] for index in order}
-    return Route(route, length_of(route), scores[chosen], chosen, scores)
+    return Routes(tuple(candidates[chosen]), scores[chosen], chosen, scores)
 
 
 @eqx.filter_jit
-def _error(models: Models, route: Float[Array, "W 2"], step: Array, samples_per_point: Array) -> Array:
-    return models.mean_error(route, step, 2 * NUM_SAMPLES, samples_per_point)
+def _error(
+    models: Models, routes: Float[Array, "K W 2"], step: Array, number: int, samples_per_point: Array
+) -> Array:
+    return models.mean_error(routes, step, number, samples_per_point)
 
 
 @eqx.filter_jit

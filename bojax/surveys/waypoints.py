@@ -12,13 +12,13 @@ _BOAT, _ARDUPILOT, _WAYPOINT, _RELATIVE_ALTITUDE = 11, 3, 16, 3  # of MAVLink
 
 
 def write_waypoints(
-    folder: Path, waypoints: np.ndarray, projection: Projection, speed: float | None
+    folder: Path, waypoints: np.ndarray, projection: Projection, speed: float | None, stem: str = "waypoints"
 ) -> list[Path]:
-    """Write a route `[W, 2]` in metres to a folder, and return the paths of the files.
+    """Write a route `[W, 2]` in metres to files of a folder with a stem, and return their paths.
 
-    `waypoints.csv` has x and y in metres, the coordinates of the area's file if they differ, longitude and
-    latitude if the area has a place on the Earth, and the distance from the start. `waypoints.geojson` is a
-    line; without a place on the Earth, its coordinates are metres. `waypoints.plan` needs such a place.
+    The CSV file has x and y in metres, the coordinates of the area's file if they differ, longitude and
+    latitude if the area has a place on the Earth, and the distance from the start. The GeoJSON file holds
+    a line; without a place on the Earth, its coordinates are metres. The plan needs such a place.
     """
     degrees = None if projection.crs is None else projection.to_degrees(waypoints)
     columns = {"x": waypoints[:, 0], "y": waypoints[:, 1]}
@@ -29,10 +29,10 @@ def write_waypoints(
     formats = [".8f" if name in ("longitude", "latitude") else ".3f" for name in columns]
     rows = zip(*columns.values(), strict=True)
     lines = [",".join(format(value, each) for value, each in zip(row, formats, strict=True)) for row in rows]
-    files = {"waypoints.csv": "\n".join([",".join(columns), *lines, ""])}
-    files["waypoints.geojson"] = json.dumps(_line(waypoints if degrees is None else degrees, degrees is None))
+    files = {f"{stem}.csv": "\n".join([",".join(columns), *lines, ""])}
+    files[f"{stem}.geojson"] = json.dumps(_line(waypoints if degrees is None else degrees, degrees is None))
     if degrees is not None:
-        files["waypoints.plan"] = json.dumps(_plan(degrees, speed), indent=1)
+        files[f"{stem}.plan"] = json.dumps(_plan(degrees, speed), indent=1)
     for name, content in files.items():
         write_content(folder / name, content)
     return [folder / name for name in files]

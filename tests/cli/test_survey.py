@@ -11,6 +11,7 @@ pytest.importorskip("pyproj")
 pytest.importorskip("rasterio")
 
 from bojax.cli.main import main  # noqa: E402
+from bojax.surveys.team import least_distance  # noqa: E402
 from tests.fields.test_raster_files import write_tif  # noqa: E402
 from tests.surveys.test_place import HOLE, OUTER, geojson  # noqa: E402
 
@@ -92,6 +93,25 @@ def test_an_ascii_raster_is_covered(tmp_path):
     assert shapely.distance(line, shapely.points(cells)).max() < 10.0
 
 
+def test_two_robots_keep_their_budgets_ends_and_distance(tmp_path):
+    out = tmp_path / "out"
+    words = ["--budget", "500", "--robots", "2", "--separation", "10", "--end", "150,0"]
+    assert main(["survey", "300x200", *words, "--start", "0,0", "--start", "300,0", "--out", str(out)]) == 0
+    survey = json.loads((out / "survey.json").read_text())
+    routes = [np.array(route) for route in survey["candidates"][0]["routes"]]
+    for number, route in enumerate(routes, start=1):
+        with (out / f"waypoints-{number}.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        np.testing.assert_allclose([[float(row["x"]), float(row["y"])] for row in rows], route, atol=1e-3)
+        np.testing.assert_allclose(route[[0, -1]], [[300.0 * (number - 1), 0.0], [150.0, 0.0]], atol=1e-6)
+        assert float(rows[-1]["distance"]) <= 500.0 + 1e-3
+    assert least_distance(routes, 10.0) >= 10.0
+    assert survey["settings"]["robots"].startswith("2")
+    mowers = [each for each in survey["candidates"] if each["method"] == "lawnmower"]
+    assert len(mowers) >= 8 and all(len(each["routes"]) == 2 for each in mowers)
+    assert survey["candidates"][0]["errors"][-1] <= mowers[0]["errors"][-1]
+
+
 def goal_survey(out, *words) -> dict:
     assert main(["survey", "300x200", "--budget", "600", *words, "--out", str(out)]) == 0
     return json.loads((out / "survey.json").read_text())
@@ -150,6 +170,12 @@ def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):
             "budget: got 50 m, but the shortest way",
         ),
         (["100x100", "--below", "0"], "100x100: has no values; allowed with --below: a raster"),
+        (["100x100", "--robots", "5"], "--robots: invalid choice: 5"),
+        (["100x100", "--robots", "two"], "--robots: got two; allowed: an integer"),
+        (
+            ["100x100", "--robots", "3", "--start", "1,1", "--start", "2,2"],
+            "--start: got 2 points; allowed: one, or 3, one for each robot",
+        ),
         (["100x100", "--goal", "depth"], "--goal: got depth; allowed: map, hotspots, threshold=V or region="),
         (["100x100", "--goal", "threshold=deep"], "--goal: got threshold=deep; allowed: threshold=V, where"),
         (["100x100", "--goal", "region=no.kml"], "no.kml: No such file or directory"),

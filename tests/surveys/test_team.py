@@ -1,0 +1,93 @@
+"""Several robots: parts of equal size, a part for the nearest robot, and the distance between robots."""
+
+import numpy as np
+import pytest
+
+shapely = pytest.importorskip("shapely")
+
+import jax.numpy as jnp  # noqa: E402
+
+from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
+from bojax.models.kernels import Matern52, Scaled  # noqa: E402
+from bojax.surveys.area import Area  # noqa: E402
+from bojax.surveys.information import expected_error, samples_along, samples_of_all  # noqa: E402
+from bojax.surveys.lawnmower import Ground  # noqa: E402
+from bojax.surveys.polylines import length_of  # noqa: E402
+from bojax.surveys.route import RouteOptions, plan_routes, stays_inside  # noqa: E402
+from bojax.surveys.team import least_distance, parts_of, split_points, team_lawnmowers  # noqa: E402
+
+HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
+POND = Area.rectangle(0.0, 0.0, 6.0, 6.0).without([(HOLE,)])
+GROUND = Ground.of(POND)
+QUICK = RouteOptions(waypoints=12, restarts=3, steps=60, models=2)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4])
+@pytest.mark.parametrize("angle", [0.0, 0.7, np.pi / 2])
+def test_parts_have_equal_sizes_and_are_the_whole(number, angle):
+    parts = parts_of(GROUND, number, angle)
+    np.testing.assert_allclose([part.size for part in parts], GROUND.size / number, rtol=1e-6)
+    whole = shapely.union_all([part.shape for part in parts])
+    assert shapely.symmetric_difference(whole, GROUND.shape).area < 1e-6
+
+
+@pytest.mark.parametrize("number", [2, 3, 4])
+def test_lawnmowers_of_a_team_keep_their_budgets_and_stay_inside(number):
+    starts = [np.array([0.2, 0.2])] * number
+    for routes in team_lawnmowers(GROUND, number, 0.3, starts, starts, 25.0, 0.0):
+        for route in routes:
+            assert length_of(route) <= 25.0 + 1e-6
+            assert stays_inside(route, POND)
+            np.testing.assert_allclose(route[[0, -1]], [starts[0], starts[0]])
+
+
+def test_each_robot_takes_the_part_next_to_its_start():
+    points = POND.grid(0.25)
+    starts = [np.array([3.0, 6.0]), np.array([3.0, 0.0])]
+    upper, lower = split_points(points, 2, 0.0, starts, [None, None])
+    assert upper[:, 1].min() > lower[:, 1].max()
+    assert abs(len(upper) - len(lower)) <= 1
+
+
+def test_the_least_distance_is_that_at_equal_times():
+    first = np.array([[0.0, 0.0], [10.0, 0.0]])
+    # The routes cross at (5, 0), where the second robot is 1 m later.
+    second = np.array([[5.0, -6.0], [5.0, 4.0]])
+    times = np.linspace(0.0, 10.0, 10001)
+    expected = np.hypot(times - 5.0, 6.0 - times).min()
+    assert least_distance([first, second]) == pytest.approx(expected, abs=1e-3)
+    assert least_distance([first]) == np.inf
+
+
+def test_samples_of_a_team_are_those_of_its_robots():
+    routes = jnp.asarray([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 1.0], [2.0, 1.0]]])
+    samples, is_taken = samples_of_all(routes, 1.0, 4)
+    for robot in (0, 1):
+        alone, taken = samples_along(routes[robot], 1.0, 4)
+        np.testing.assert_array_equal(samples[robot::2], alone)
+        np.testing.assert_array_equal(is_taken[robot::2], taken)
+    np.testing.assert_array_equal(is_taken[1::2], [True, True, False, False])
+
+
+def test_two_robots_learn_more_than_one_and_stay_apart():
+    kernel = Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0))
+    belief = GaussianProcess.prior(kernel, 0.01, 0, 2)
+    starts = [[0.5, 0.5], [5.5, 0.5]]
+    found = plan_routes(belief, POND, 10.0, starts, [None, None], spacing=0.3, separation=0.5, options=QUICK)
+    alone = plan_routes(belief, POND, 10.0, starts[:1], [None], spacing=0.3, options=QUICK)
+    assert found.error < 0.9 * alone.error
+    assert least_distance(found.routes, 0.5) >= 0.5
+    for route, start in zip(found.routes, starts, strict=True):
+        np.testing.assert_allclose(route[0], start)
+        assert length_of(route) <= 10.0 * (1.0 + 1e-9) and stays_inside(route, POND)
+    # The error of both routes is not that of the first one alone.
+    grid = jnp.asarray(POND.grid(0.4))
+    single = [expected_error(belief, jnp.asarray(each), grid, 0.3)[1][-1] for each in found.routes]
+    assert min(single) > 1.2 * found.error
+
+
+def test_a_separation_that_no_candidate_keeps_is_one_line():
+    kernel = Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0))
+    belief = GaussianProcess.prior(kernel, 0.01, 0, 2)
+    with pytest.raises(ValueError, match="separation: got 9 m, which no candidate keeps; allowed: a smaller"):
+        plan_routes(belief, POND, 30.0, [None] * 2, [None] * 2, spacing=0.3, separation=9.0, options=QUICK)
