@@ -70,6 +70,7 @@ def lawnmower(
     angle: float = 0.0,
     start: np.ndarray | None = None,
     end: np.ndarray | None = None,
+    inset: bool = False,
 ) -> np.ndarray:
     """A route along parallel lines that covers an area.
 
@@ -79,9 +80,10 @@ def lawnmower(
         angle: Direction of the lines, counter-clockwise from x, rad.
         start: First point of the route; free if None.
         end: Last point of the route; free if None.
+        inset: Whether lines stop half a spacing before the border, or at it.
 
     Returns:
-        Waypoints `[W, 2]`, m. Lines end at the border.
+        Waypoints `[W, 2]`, m.
 
     Raises:
         ValueError: The spacing is not positive, or an end is not in the area.
@@ -91,7 +93,7 @@ def lawnmower(
     ground = area if isinstance(area, Ground) else Ground.of(area, start if start is not None else end)
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     rings = [ring[:-1] @ turn.T for ring in ground.rings]
-    cells = [[line @ turn for line in cell] for cell in _cells(rings, spacing)]
+    cells = [[line @ turn for line in cell] for cell in _cells(rings, spacing, inset)]
     legs = _in_order([_ways(cell) for cell in cells], start, end)
     stops = [np.asarray(start, float)[None]] if start is not None else []
     stops += legs
@@ -132,7 +134,7 @@ def lawnmowers_within(
     for distance in [spacing, *powers] if spacing > powers[0] else powers:
         if distance < spacing:
             continue
-        route = lawnmower(ground, distance, angle, start, end)
+        route = lawnmower(ground, distance, angle, start, end, inset=True)
         if length_of(route) <= budget:
             return [route] if denser is None else [route, _cut(denser, budget, end, ground.transfers)]
         denser = route
@@ -157,7 +159,7 @@ def check_budget(
             raise ValueError(f"budget: got {budget:.6g} m, but {between}")
 
 
-def _cells(rings: list[np.ndarray], spacing: float) -> list[list[np.ndarray]]:
+def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np.ndarray]]:
     """Cells of parallel lines to x, each a list of pieces `[2, 2]` from the lowest y."""
     corners = np.concatenate(rings)
     low, high = corners[:, 1].min(), corners[:, 1].max()
@@ -172,7 +174,9 @@ def _cells(rings: list[np.ndarray], spacing: float) -> list[list[np.ndarray]]:
         ).reshape(len(growing), len(pieces))
         now = []
         for index, piece in enumerate(pieces):
-            line = np.array([[piece[0], y], [piece[1], y]])
+            # A short line keeps half of its length.
+            gap = min(0.5 * (high - low) / number, 0.25 * (piece[1] - piece[0])) if inset else 0.0
+            line = np.array([[piece[0] + gap, y], [piece[1] - gap, y]])
             before = np.flatnonzero(touches[:, index])
             goes_on = len(before) == 1 and touches[before[0]].sum() == 1
             cell = growing[before[0]][1] if goes_on else []
