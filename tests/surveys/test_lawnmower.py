@@ -121,3 +121,18 @@ def test_of_several_parts_the_one_with_the_start_is_covered() -> None:
 def test_what_cannot_be_driven_is_refused(make, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("name", AREAS)
+def test_inset_lines_stay_inside_and_are_shorter(name: str) -> None:
+    area, spacing = AREAS[name], 0.8
+    route = lawnmower(area, spacing, inset=True)
+    assert is_inside(area, route)
+    assert length_of(route) < length_of(lawnmower(area, spacing))
+    assert np.mean(apart(area, route) <= spacing / 2 + 1e-6) > 0.96
+
+
+def test_inset_lines_of_a_square_are_half_a_spacing_from_its_border() -> None:
+    route = lawnmower(SQUARE, 1.0, inset=True)
+    np.testing.assert_allclose([route.min(0), route.max(0)], [[0.5, 0.5], [9.5, 9.5]])
+    assert length_of(route) == pytest.approx(10 * 9.0 + 9.0)
