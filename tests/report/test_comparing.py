@@ -12,7 +12,8 @@ from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
 from bojax.report.comparing.curve_files import Rows, read_curves
-from bojax.report.comparing.methods import Measure, named, of_file, of_folder, scored, tasks_of
+from bojax.report.comparing.methods import Measure, named, of_file, of_folder
+from bojax.report.comparing.scoring import scored, tasks_of
 from bojax.report.source import load
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, in_memory, set_column, write_learning, write_results

@@ -10,16 +10,8 @@ import numpy as np
 from bojax.report import statistics, style
 from bojax.report.comparing import tables
 from bojax.report.comparing.logs.opening import opened
-from bojax.report.comparing.methods import (
-    Axis,
-    Measure,
-    Method,
-    Phase,
-    Task,
-    measured_by,
-    methods_of,
-    tasks_of,
-)
+from bojax.report.comparing.methods import Axis, Measure, Method, Phase, measured_by, methods_of
+from bojax.report.comparing.scoring import Task, tasks_of
 from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bojax.report import statistics, tables
-from bojax.report.comparing.methods import Measure, Method, Task
+from bojax.report.comparing.methods import Measure, Method
+from bojax.report.comparing.scoring import Task
 from bojax.report.ranking import ENDS
 from bojax.report.source import Results
 from bojax.report.statistics import Floats, Interval
