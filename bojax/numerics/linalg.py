@@ -93,10 +93,41 @@ def _inverse_triangular(factor: Float[Array, "N N"]) -> Float[Array, "N N"]:
     n = factor.shape[0]
     if n <= 64:
         return solve_triangular(factor, jnp.eye(n, dtype=factor.dtype), lower=True)
+    if n > 512:
+        return _inverse_of_many_rows(factor)
     half = n // 2
-    first, last = _inverse_triangular(factor[:half, :half]), _inverse_triangular(factor[half:, half:])
-    below = -matmul(last, matmul(factor[half:, :half], first))
+    return _joined(
+        _inverse_triangular(factor[:half, :half]),
+        _inverse_triangular(factor[half:, half:]),
+        factor[half:, :half],
+    )
+
+
+def _joined(first: Float[Array, "A A"], last: Float[Array, "B B"], below: Float[Array, "B A"]) -> Array:
+    """L^-1, given the inverses of its diagonal blocks and the block below."""
+    below = -matmul(last, matmul(below, first))
     return jnp.block([[first, jnp.zeros_like(below.T)], [below, last]])
+
+
+def _inverse_of_many_rows(factor: Float[Array, "N N"]) -> Float[Array, "N N"]:
+    """The halving of `_inverse_triangular` from below: blocks of equal size are joined in pairs."""
+    # A program of the recursion itself grows with the number of rows: 5,000 compile for 15 s.
+    n = factor.shape[0]
+    num_blocks = 1 << (-(-n // 512) - 1).bit_length()
+    size = -(-n // num_blocks)
+    padding = num_blocks * size - n
+    padded = jax.scipy.linalg.block_diag(factor, jnp.eye(padding, dtype=factor.dtype))
+    inverses = jax.lax.map(_inverse_triangular, _blocks(padded, size, 0, 1))
+    while size < len(padded):
+        inverses = jax.vmap(_joined)(inverses[::2], inverses[1::2], _blocks(padded, size, 1, 2))
+        size *= 2
+    return inverses[0, :n, :n]
+
+
+def _blocks(matrix: Float[Array, "N N"], size: int, below: int, step: int) -> Float[Array, "K size size"]:
+    """Every `step`-th block of columns, in the rows that are `below` blocks under the diagonal."""
+    starts = range(0, len(matrix), step * size)
+    return jnp.stack([matrix[at + below * size :, at:][:size, :size] for at in starts])
 
 
 @jax.custom_jvp

@@ -47,6 +47,15 @@ def relative_errors(xs: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.abs(xs - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
 
 
+@pytest.mark.parametrize("n", [65, 512, 513, 1100])
+def test_an_inverse_factor_of_any_size_is_that_of_numpy(n):
+    rng = np.random.default_rng(n)
+    half = rng.normal(size=(n, n))
+    a = half @ half.T / n + np.eye(n)
+    exact = np.linalg.inv(np.linalg.cholesky(a))
+    assert np.abs(np.asarray(inverse_factor(a)) - exact).max() < 1e-13
+
+
 @pytest.mark.parametrize("n", SIZES)
 def test_solves_random_systems(n):
     rng = np.random.default_rng(n)
