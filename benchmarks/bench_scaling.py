@@ -151,10 +151,14 @@ def choose_devices(args: argparse.Namespace) -> None:
     elif args.device == "gpu" or args.devices:
         sys.exit("error: JAX finds no GPU; allowed: --device cpu --devices N ...")
     else:
-        print("no GPU: a thousandth of the runs, on one and two parts of the CPU")
+        print(
+            "no GPU: a thousandth of the runs, on one and two parts of the CPU; space modelling is left out"
+        )
         args.device, args.devices = "cpu", [1, 2]
         if args.divide == 1 and not args.runs:
             args.divide = 1000
+        if args.only == list(SWEEPS):
+            args.only = ["parking", "mountain-car"]
 
 
 def count_gpus() -> int:

@@ -109,6 +109,7 @@ def test_devices_of_the_machine(bench, monkeypatch, capsys):
         monkeypatch.setattr(bench, "count_gpus", lambda: count)
         args = bench.parse(words)
         bench.choose_devices(args)
+        assert ("space-modelling" in args.only) == (args.divide == 1)
         return args.device, args.devices, args.divide
 
     assert chosen(4) == ("gpu", [1, 2, 4], 1)
