@@ -1,7 +1,5 @@
 """Uniformly random actions, the baseline of exploration."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,8 +18,6 @@ class RandomActions(Learner):
 
     Settings: `bojax.learning.settings.RandomActions`.
     """
-
-    prefers_cpu: ClassVar[bool] = True
 
     discount: Float[Array, ""]
     block: int = eqx.field(static=True)

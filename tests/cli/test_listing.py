@@ -8,6 +8,7 @@ from bojax.config import catalog, thesis
 from bojax.config.component import Component
 from bojax.config.files import available
 from bojax.config.sweep import load_config
+from tests.tiers import by_tier
 
 
 @pytest.fixture
@@ -45,19 +46,19 @@ def test_a_part_a_config_and_a_sweep_of_one_name(listed):
     assert "alias of fig-4.6" in out
 
 
-def test_an_example_stands_with_every_group_and_part_and_is_a_valid_config(listed):
+@pytest.mark.parametrize("role", by_tier(catalog.roles(), normal=["env", "experiment", "acquisition"]))
+def test_an_example_stands_with_every_group_and_part_and_is_a_valid_config(listed, role):
     without = {"brax", "gymnasium", "grid", "scattered", "until-target"}  # they need an id, a file, a number
-    for role, base in catalog.roles().items():
-        lines = [line.strip() for line in listed(base.plural).splitlines()]
-        assert lines[-1].startswith("bojax run "), role
-        for kind in catalog.kinds(role):
-            example = _example(role, kind)
-            assert bool(example) == (kind not in without and role != "experiment"), (role, kind)
-            if example:
-                name, *overrides = example.removeprefix("bojax run ").split()
-                config = load_config(name, overrides).points[0].config
-                assert kind in parts(config), example
-                assert example in listed(kind)
+    lines = [line.strip() for line in listed(catalog.roles()[role].plural).splitlines()]
+    assert lines[-1].startswith("bojax run "), role
+    for kind in catalog.kinds(role):
+        example = _example(role, kind)
+        assert bool(example) == (kind not in without and role != "experiment"), (role, kind)
+        if example:
+            name, *overrides = example.removeprefix("bojax run ").split()
+            config = load_config(name, overrides).points[0].config
+            assert kind in parts(config), example
+            assert example in listed(kind)
 
 
 def parts(config) -> set[str]:
