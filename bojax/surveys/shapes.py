@@ -64,4 +64,8 @@ def polygons_of(shape: "BaseGeometry") -> list:
 
 def _even_odd(rings: Sequence[Ring]) -> "BaseGeometry":
     shapely = shapely_module()
-    return shapely.symmetric_difference_all([shapely.make_valid(shapely.Polygon(ring)) for ring in rings])
+    polygons = [shapely.make_valid(shapely.Polygon(ring)) for ring in rings] or [shapely.Polygon()]
+    while len(polygons) > 1:  # in pairs, since every difference takes time in proportion to its corners
+        pairs = zip(polygons[::2], [*polygons[1::2], shapely.Polygon()], strict=False)
+        polygons = [shapely.symmetric_difference(*pair) for pair in pairs]
+    return polygons[0]

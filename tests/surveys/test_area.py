@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.surveys.area import Area
+from bojax.surveys.shapes import to_shape
 
 HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
 L_SHAPE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [3.0, 3.0], [3.0, 8.0], [0.0, 8.0]])
@@ -19,6 +20,15 @@ def test_a_hole_is_outside_like_a_zone() -> None:
     expected = ((points > 0.0) & (points < 10.0)).all(1) & ~in_hole
     np.testing.assert_array_equal(RING.contains(points), expected)
     np.testing.assert_array_equal(SQUARE.without([[HOLE]]).contains(points), expected)
+
+
+@pytest.mark.parametrize("num_rings", range(1, 8))
+def test_its_shape_has_what_lies_in_an_odd_number_of_rings(num_rings: int) -> None:
+    pytest.importorskip("shapely")
+    rings = [5.0 + (HOLE - 5.0) * 4.0 * 0.8**k for k in range(num_rings)]  # one in the other
+    sizes = [64.0 * 0.8 ** (2 * k) for k in range(num_rings)]
+    expected = sum(size * (-1) ** k for k, size in enumerate(sizes))
+    assert to_shape(Area(tuple(rings))).area == pytest.approx(expected)
 
 
 def test_overlapping_zones_are_one_zone() -> None:
