@@ -52,9 +52,8 @@ class Replay:
             host = build(env, dtype)
             key = run_key(jax.random.key(seed), jnp.asarray(run, jnp.int32))
             self._seed = int(seed_of(reset_key(key, jnp.asarray(episode, jnp.int32), 0, starts)))
-        os.environ.setdefault(
-            "SDL_VIDEODRIVER", "dummy"
-        )  # pygame, which most of them draw with, opens no window
+        # Most of them draw with pygame, which then opens no window.
+        os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
         modes = host.make().metadata.get("render_modes") or []
         if PICTURE not in modes:
             known = ", ".join(map(str, modes)) or "none"
