@@ -23,9 +23,12 @@ that pays only beyond `LANES_ON_ACCELERATOR`: an advance has a fixed cost, so th
 done soonest if all start at once (benchmarks/results/2026-11-23-lanes.md).
 """
 
-QUEUES, SHORTEST_ON_CPU = 4, 8
+QUEUES_ON_CPU, QUEUES_ON_ACCELERATOR, SHORTEST_ON_CPU = 4, 16, 8
 """A group is divided into this number of queues, so that several devices or cores share it, unless they would
-be shorter than this on a CPU, or all fit into the lanes of fewer queues on an accelerator."""
+be shorter than `SHORTEST_ON_CPU` on a CPU, or all fit into the lanes of fewer queues on an accelerator.
+
+Queues of runs that last for different times balance eight accelerators only if each has several of them.
+"""
 
 REPACKINGS = 100
 """Number of repackings of a run that lasts for all its advances. A repacking waits for the device, so this
@@ -80,7 +83,8 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
     limit = given or (experiment.lanes_on_cpu if is_cpu else LANES_ON_ACCELERATOR)
     longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else QUEUE_ON_ACCELERATOR
     useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / LANES_ON_ACCELERATOR)
-    num_queues = max(math.ceil(num_runs / longest), min(QUEUES, useful))
+    common = QUEUES_ON_CPU if is_cpu else QUEUES_ON_ACCELERATOR
+    num_queues = max(math.ceil(num_runs / longest), min(common, useful))
     queue = math.ceil(num_runs / num_queues)
     if experiment.is_hosted:
         return Layout(queue, (queue,), 0)
