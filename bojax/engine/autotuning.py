@@ -5,15 +5,13 @@ Two compilations of one program may choose different kernels, whose sums differ 
 begins without choices makes them once. They are kept in its folder, so that a process that resumes the plan,
 on this machine or on another one, compiles the same programs and writes tables with the same bytes.
 
-XLA keeps each choice in a small file beside JAX's cache of compiled programs, and looks there before it
-measures. It also remembers choices until the process ends, so that what was measured once is not read again.
+Choices that come with bojax (see `xla_choices`) are the same in every process of the plan, and are not kept
+again. XLA remembers choices until the process ends, so that what was measured once is not read again.
 """
 
-import base64
 import contextlib
 import hashlib
 import json
-import os
 import re
 import secrets
 import subprocess
@@ -30,16 +28,11 @@ from jax.stages import Compiled
 from bojax.engine.devices import Device, prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.program_cache import Program, folder_of
+from bojax.engine.xla_choices import XLA_FOLDER, measured, shipped, write, xla_folder
 from bojax.results.store import link, make_folder, read_checked_json, write_checked_json
-
-XLA_FOLDER = "xla_gpu_per_fusion_autotune_cache_dir"
-"""The folder in JAX's cache, and the option of XLA's compiler that names a folder."""
 
 _COPIES = frozenset({"empty", "recorded", "select"})
 """Programs that only move numbers."""
-
-_IS_SAFE = re.compile(r"(?:[\w+=-][\w+=.-]*/)*[\w+=-][\w+=.-]*")
-"""Relative paths of XLA's files that stay inside its folder."""
 
 
 @runtime_checkable
@@ -72,11 +65,10 @@ class Choices:
 
     def offer(self) -> None:
         """Give XLA the choices that were published since the last call, except for products it knows."""
-        cache = _xla_folder()
+        cache = xla_folder()
         with self._lock:
             if cache is not None:
-                for name, content in self._news().items():
-                    _write_if_missing(cache, name, content)
+                write(cache, self._news())
 
     def settle(self, name: str, made: Made, again: Callable[[Mapping[str, str]], Made | None]) -> Made:
         """The program with the plan's choices: as it was made, unless another process was the first.
@@ -116,7 +108,7 @@ class Choices:
             with self._lock:
                 self._news()
                 published = set(self._published)
-            new = {name: value for name, value in _known_to_xla().items() if name not in published}
+            new = {name: value for name, value in measured().items() if name not in published}
             own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
             write_checked_json(own, {"program": content, "choices": new}, path.name)
             with contextlib.suppress(FileExistsError):
@@ -148,34 +140,6 @@ def fingerprint(made: Readable) -> str:
     return hashlib.sha256(re.sub(r", metadata=\{[^}]*\}", "", instructions).encode()).hexdigest()
 
 
-def _xla_folder() -> Path | None:
-    folder = folder_of("")
-    return None if folder is None else folder / XLA_FOLDER
-
-
-def _known_to_xla() -> dict[str, str]:
-    """All choices in XLA's folder, as text."""
-    folder, known = _xla_folder(), {}
-    for path in sorted(folder.rglob("*")) if folder is not None else ():
-        name = str(path.relative_to(folder)) if folder is not None else ""
-        if _IS_SAFE.fullmatch(name) and path.suffix in (".pb", ".textproto"):
-            with contextlib.suppress(OSError):
-                known[name] = base64.b64encode(path.read_bytes()).decode()
-    return known
-
-
-def _write_if_missing(folder: Path, name: str, content: str) -> None:
-    """Write one of XLA's files, as XLA does: whole, under another name first."""
-    path = folder / name
-    if not _IS_SAFE.fullmatch(name) or path.exists():
-        return
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        own = path.with_name(f".tmp_{secrets.token_hex(6)}")
-        own.write_bytes(base64.b64decode(content))
-        os.replace(own, path)
-
-
 def compile_again(program: Program, device: Device, choices: Mapping[str, str]) -> Compiled | None:
     """Compile a program with the given choices; None if that is not possible.
 
@@ -186,8 +150,7 @@ def compile_again(program: Program, device: Device, choices: Mapping[str, str]) 
         return None
     digest = hashlib.sha256(json.dumps(sorted(choices.items())).encode()).hexdigest()[:16]
     folder = cache / "choices" / digest
-    for name, content in choices.items():
-        _write_if_missing(folder, name, content)
+    write(folder, {**shipped(device), **choices})
     try:
         with tempfile.NamedTemporaryFile(suffix=".program") as file:
             file.write(program.serialized())

@@ -23,6 +23,7 @@ from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
 from bojax.engine.program_cache import Loaded, Program, Traced
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
+from bojax.engine.xla_choices import offer_shipped
 from bojax.experiments.base import Carry, Experiment, Records
 from bojax.numerics.lanes import LANES
 
@@ -156,8 +157,9 @@ class Programs:
         self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
         key = self.key_of(self._group, device, num_lanes, self._num_recorded, wider)
+        offer_shipped(device)  # before XLA compiles and chooses for itself
         if choices is not None:
-            choices.offer()  # before XLA compiles and chooses for itself
+            choices.offer()
         loaded, self.is_saved, self.compile_seconds = obtain(
             key, device, partial(self._trace, wider), started, are_remade=choices is not None
         )

@@ -12,10 +12,11 @@ import pytest
 
 from bojax.config.sweep import load_config
 from bojax.engine import autotuning, batch
-from bojax.engine.autotuning import XLA_FOLDER, Choices, compile_again, fingerprint, programs_in
+from bojax.engine.autotuning import Choices, compile_again, fingerprint, programs_in
 from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program
 from bojax.engine.storage import FolderStorage
+from bojax.engine.xla_choices import XLA_FOLDER
 from bojax.results.store import ResultsError, read_checked_json, read_manifest
 from tests.engine.drive import run_sweep, run_toy
 from tests.engine.test_program_cache import caching_in
@@ -97,7 +98,7 @@ def test_choices_are_offered_as_they_are_published_and_overwrite_none(tmp_path, 
 
 @pytest.mark.parametrize("name", ["../stolen.pb", "/stolen.pb", "a/../../stolen.pb", ".hidden.pb"])
 def test_no_name_leads_out_of_xla_s_folder(tmp_path, xla, monkeypatch, name):
-    monkeypatch.setattr(autotuning, "_known_to_xla", lambda: {name: base64.b64encode(b"x").decode()})
+    monkeypatch.setattr(autotuning, "measured", lambda: {name: base64.b64encode(b"x").decode()})
     Choices(tmp_path / "plan").settle("0-8-advance", Made("a"), never)
     before = {path for path in tmp_path.rglob("*")}
     Choices(tmp_path / "plan").offer()

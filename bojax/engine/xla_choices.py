@@ -1,0 +1,129 @@
+"""The files in which XLA keeps its choices of kernels, and those that come with bojax.
+
+XLA keeps each choice in a small file beside JAX's cache of compiled programs, and looks there before it
+measures. The name of a file is a hash of the card and of the instructions, so that a file never misleads
+another card or program. The choices of the sweeps that come with bojax are part of the package, one archive
+for each card and version of XLA on which they were measured. With them, these sweeps compile in less time,
+and to the same programs on every machine with such a card.
+
+`python -m bojax.engine.xla_choices` makes the archive of this machine's card from the cache that is in use.
+"""
+
+import base64
+import contextlib
+import functools
+import json
+import lzma
+import os
+import re
+import secrets
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+from bojax.engine.devices import Device, prepare
+from bojax.engine.program_cache import folder_of
+
+XLA_FOLDER = "xla_gpu_per_fusion_autotune_cache_dir"
+"""The folder in JAX's cache, and the option of XLA's compiler that names a folder."""
+
+ARCHIVES = Path(__file__).parent / "kernel_choices"
+"""The folder with the choices that come with bojax."""
+
+_IS_SAFE = re.compile(r"(?:[\w+=-][\w+=.-]*/)*[\w+=-][\w+=.-]*")
+"""Relative paths of XLA's files that stay inside its folder."""
+
+Choices = Mapping[str, str]
+"""The contents of XLA's files in base64, by their paths in its folder."""
+
+
+def xla_folder() -> Path | None:
+    """The folder in which XLA keeps its choices; None if JAX's cache is off."""
+    folder = folder_of("")
+    return None if folder is None else folder / XLA_FOLDER
+
+
+def read_all() -> Choices:
+    """All choices in XLA's folder."""
+    folder, known = xla_folder(), {}
+    for path in sorted(folder.rglob("*")) if folder is not None else ():
+        name = str(path.relative_to(folder)) if folder is not None else ""
+        if _IS_SAFE.fullmatch(name) and path.suffix in (".pb", ".textproto"):
+            with contextlib.suppress(OSError):
+                known[name] = base64.b64encode(path.read_bytes()).decode()
+    return known
+
+
+def write(folder: Path, choices: Choices, *, replaces: bool = False) -> None:
+    """Write files as XLA does: whole, under another name first. What cannot be written is left out.
+
+    Args:
+        folder: The folder.
+        choices: The choices.
+        replaces: Whether choices that are there are replaced.
+    """
+    for name, content in choices.items():
+        path, decoded = folder / name, base64.b64decode(content)
+        if not _IS_SAFE.fullmatch(name):
+            continue
+        with contextlib.suppress(OSError):
+            if path.exists() and (not replaces or path.read_bytes() == decoded):
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            own = path.with_name(f".tmp_{secrets.token_hex(6)}")
+            own.write_bytes(decoded)
+            os.replace(own, path)
+
+
+def archive_of(device: Device) -> Path:
+    """The archive for the card of a device and the version of XLA; it may not exist."""
+    card = re.sub(r"[^a-z0-9]+", "-", device.device_kind.lower()).strip("-")
+    return ARCHIVES / f"{card}-jaxlib-{version('jaxlib')}.json.xz"
+
+
+@functools.cache
+def shipped(device: Device) -> Choices:
+    """The choices that come with bojax for the card of a device; empty if there are none."""
+    try:
+        return json.loads(lzma.decompress(archive_of(device).read_bytes()))
+    except FileNotFoundError:
+        return {}
+
+
+def measured() -> Choices:
+    """The choices in XLA's folder that did not come with bojax."""
+    known = {name for device in jax.local_devices() for name in shipped(device)}
+    return {name: content for name, content in read_all().items() if name not in known}
+
+
+def offer_shipped(device: Device) -> None:
+    """Give XLA the choices that come with bojax, in place of those that this machine has measured."""
+    if (folder := xla_folder()) is not None:
+        _offer(device, folder)
+
+
+@functools.cache
+def _offer(device: Device, folder: Path) -> None:
+    """Once in a process, which keeps the choices that it has read."""
+    write(folder, shipped(device), replaces=True)
+
+
+def pack(device: Device) -> Path:
+    """Make the archive for the card of a device from the choices in XLA's folder; returns its path.
+
+    Choices of the archive that the folder lacks are kept.
+    """
+    path, choices = archive_of(device), {**shipped(device), **read_all()}
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(
+        lzma.compress(json.dumps(choices, sort_keys=True).encode(), preset=9 | lzma.PRESET_EXTREME)
+    )
+    print(f"{path}: {len(choices)} choices, {path.stat().st_size:,} bytes")
+    return path
+
+
+if __name__ == "__main__":
+    prepare("auto")
+    pack(jax.devices()[0])

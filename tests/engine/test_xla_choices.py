@@ -1,0 +1,74 @@
+"""Choices of kernels that come with bojax are given to XLA, and not kept with a plan again."""
+
+import base64
+import json
+import lzma
+
+import jax
+import pytest
+
+from bojax.config.sweep import load_config
+from bojax.engine import xla_choices
+from bojax.engine.autotuning import Choices
+from bojax.engine.xla_choices import XLA_FOLDER, archive_of, offer_shipped, pack, read_all, shipped
+from bojax.results.store import read_checked_json
+from tests.engine.drive import run_sweep
+from tests.engine.test_autotuning import Made, choose, chosen, never
+from tests.engine.test_program_cache import caching_in
+
+DEVICE = jax.devices()[0]
+
+
+@pytest.fixture
+def xla(tmp_path, monkeypatch):
+    """XLA's folder, and no archives at first."""
+    monkeypatch.setattr(xla_choices, "ARCHIVES", tmp_path / "archives")
+    shipped.cache_clear()
+    with caching_in(tmp_path / "cache"):
+        yield tmp_path / "cache" / XLA_FOLDER
+    shipped.cache_clear()
+
+
+def ship(**kernels: str):
+    path = archive_of(DEVICE)
+    path.parent.mkdir()
+    content = {f"card/{name}.pb": base64.b64encode(each.encode()).decode() for name, each in kernels.items()}
+    path.write_bytes(lzma.compress(json.dumps(content).encode()))
+    shipped.cache_clear()
+
+
+def test_without_an_archive_nothing_is_written(xla):
+    offer_shipped(DEVICE)
+    assert not xla.exists()
+
+
+def test_what_was_measured_here_gives_way_to_what_comes_with_bojax(xla):
+    choose(xla, dot="tile 8", own="tile 2")
+    ship(dot="tile 16", sum="tile 32")
+    offer_shipped(DEVICE)
+    assert chosen(xla) == {"dot": "tile 16", "sum": "tile 32", "own": "tile 2"}
+
+
+def test_a_plan_keeps_only_what_does_not_come_with_bojax(xla, tmp_path):
+    ship(dot="tile 16")
+    offer_shipped(DEVICE)
+    choose(xla, own="tile 2")
+    Choices(tmp_path / "plan").settle("0-8-advance", Made("tile 8"), never)
+    assert set(read_checked_json(tmp_path / "plan" / "0-8-advance.json")["choices"]) == {"card/own.pb"}
+
+
+def test_an_archive_is_made_of_all_choices(xla, capsys):
+    ship(dot="tile 16")
+    choose(xla, own="tile 2")
+    assert "2 choices" in (pack(DEVICE), capsys.readouterr())[1].out
+    shipped.cache_clear()
+    assert set(shipped(DEVICE)) == {"card/dot.pb", "card/own.pb"}
+
+
+@pytest.mark.skipif(not archive_of(DEVICE).exists(), reason="no choices come with bojax for this device")
+@pytest.mark.parametrize("name", ["parking", "mountain-car"])
+def test_every_choice_of_a_shipped_sweep_comes_with_bojax(tmp_path, name):
+    """The misses would be measured anew on every machine, and may differ."""
+    with caching_in(tmp_path / "cache"):
+        run_sweep(load_config(name, [], 200, None), tmp_path / "sweep")
+        assert set(read_all()) <= set(shipped(DEVICE))
