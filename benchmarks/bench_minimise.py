@@ -17,6 +17,7 @@ from options import make_parser, positive
 EXAMPLES = """\
   python benchmarks/bench_minimise.py                          20 seeds of 50 evaluations
   python benchmarks/bench_minimise.py --seeds 3 --functions branin mixed-ackley
+  python benchmarks/bench_minimise.py --searches searches.jsonl    goes on after an interruption
 """
 
 
@@ -33,6 +34,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--evaluations", type=positive, default=50, help="evaluations of a search (50)")
     parser.add_argument("--functions", nargs="+", metavar="NAME", help="some of the functions (all)")
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="some of the methods (all installed)")
+    parser.add_argument(
+        "--searches", type=Path, metavar="FILE", help="keep each search there; those it has are not run again"
+    )
     return parser.parse_args(argv)
 
 

@@ -1,12 +1,15 @@
 """The searches of bench_minimise.py, run in a process with its own cores."""
 
+import argparse
 import json
 import math
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -294,10 +297,40 @@ def regret(method: Method, problem: Problem, evaluations: int, seed: int) -> flo
     return min(values) - problem.minimum
 
 
-def main(argv: list[str]) -> int:
-    """Run all searches, and print the regrets."""
-    args = parse(argv)
-    warnings.simplefilter("ignore")
+Key = tuple[str, str, int, int]
+"""Function, method, seed and number of evaluations of a search."""
+
+
+class Searches:
+    """The regrets of searches; those that a file has are not run again.
+
+    Args:
+        path: A file with a line of JSON for each search, which may not exist yet; None keeps them in memory.
+    """
+
+    def __init__(self, path: Path | None):
+        self._path = path
+        lines = path.read_text().splitlines() if path and path.exists() else []
+        self._found = {
+            tuple(row["search"]): (row["regret"], row["seconds"]) for row in map(json.loads, lines)
+        }
+
+    def run(self, key: Key, method: Method, problem: Problem) -> tuple[float, float]:
+        """The regret of a search, and its seconds."""
+        if key not in self._found:
+            _, _, seed, evaluations = key
+            begin = time.perf_counter()
+            found = regret(method, problem, evaluations, seed)
+            self._found[key] = found, time.perf_counter() - begin
+            if self._path:
+                row = {"search": key, "regret": found, "seconds": self._found[key][1]}
+                with self._path.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+        return self._found[key]
+
+
+def load_methods(names: Sequence[str] | None) -> dict[str, Method]:
+    """The installed methods, or those of them that are named."""
     methods: dict[str, Method] = {
         "bojax": ours,
         **installed(
@@ -310,42 +343,54 @@ def main(argv: list[str]) -> int:
         ),
         "random": random_search,
     }
-    methods = {name: method for name, method in methods.items() if not args.methods or name in args.methods}
+    return {name: method for name, method in methods.items() if not names or name in names}
+
+
+def takes(method: str, problem: Problem) -> bool:
+    """Whether a method has what a space needs."""
+    return method not in NUMBERS_ALONE or not any(isinstance(axis, list) for axis in problem.space.values())
+
+
+def main(argv: list[str]) -> int:
+    """Run all searches, seed by seed, and print the regrets."""
+    args = parse(argv)
+    warnings.simplefilter("ignore")
+    methods = load_methods(args.methods)
     problems = {name: PROBLEMS[name] for name in args.functions or PROBLEMS}
+    searches, found = Searches(args.searches), defaultdict[tuple[str, str], list[tuple[float, float]]](list)
+    for seed in range(args.seed, args.seed + args.seeds):
+        for title, problem in problems.items():
+            for name, method in methods.items():
+                if takes(name, problem):
+                    key = (title, name, seed, args.evaluations)
+                    found[title, name].append(searches.run(key, method, problem))
+        print(f"seed {seed} is done", flush=True)
+    report(found, args)
+    return 0
+
+
+def report(found: Mapping[tuple[str, str], list[tuple[float, float]]], args: argparse.Namespace) -> None:
+    """Print the table of regrets and the number of functions where a method is among the first two."""
     table = Table(title=f"Simple regret after {args.evaluations} evaluations, {args.seeds} seeds")
     for heading in ("function", "method", "median regret", "95%", "seconds an evaluation"):
         table.add_column(heading, justify="left" if heading in ("function", "method") else "right")
-    record, places = [], {name: [] for name in methods}
-    for title, problem in problems.items():
-        medians = {}
-        has_choices = any(isinstance(axis, list) for axis in problem.space.values())
-        for name, method in methods.items():
-            if has_choices and name in NUMBERS_ALONE:
-                continue
-            begin = time.perf_counter()
-            found = [
-                regret(method, problem, args.evaluations, args.seed + seed) for seed in range(args.seeds)
-            ]
-            seconds = (time.perf_counter() - begin) / (args.seeds * args.evaluations)
-            regrets = np.asarray(found)
-            draws = np.random.default_rng(0).choice(regrets, (2000, len(regrets)))
-            low, high = np.quantile(np.median(draws, axis=1), (0.025, 0.975))
-            medians[name] = float(np.median(regrets))
-            row = (title, name, f"{medians[name]:.2g}", f"{low:.2g} to {high:.2g}", f"{seconds:.3f}")
-            table.add_row(*row)
-            print(*row, sep="\t", flush=True)
-            record.append(
-                {"function": title, "method": name, "regrets": regrets.tolist(), "seconds": seconds}
-            )
-        for place, name in enumerate(sorted(medians, key=medians.__getitem__), 1):
-            places[name].append(place)
-    Console().print(table)
-    for name, each in places.items():
-        best = sum(place <= 2 for place in each)
-        print(f"{name}: among the first two by median on {best} of {len(each)} functions")
+    record, medians = [], defaultdict[str, dict[str, float]](dict)
+    for (title, name), rows in found.items():
+        regrets, seconds = np.asarray(rows).T
+        each = float(np.median(seconds)) / args.evaluations
+        draws = np.random.default_rng(0).choice(regrets, (2000, len(regrets)))
+        low, high = np.quantile(np.median(draws, axis=1), (0.025, 0.975))
+        medians[title][name] = float(np.median(regrets))
+        shown = (f"{medians[title][name]:.2g}", f"{low:.2g} to {high:.2g}", f"{each:.3f}")
+        table.add_row(title, name, *shown)
+        record.append({"function": title, "method": name, "regrets": regrets.tolist(), "seconds": each})
+    Console(width=100).print(table)
+    for name in dict.fromkeys(name for _, name in found):
+        ranks = [sorted(each, key=each.__getitem__).index(name) for each in medians.values() if name in each]
+        best = sum(rank < 2 for rank in ranks)
+        print(f"{name}: among the first two by median on {best} of {len(ranks)} functions")
     if args.json:
         args.json.write_text(json.dumps({"evaluations": args.evaluations, "rows": record}, indent=1))
-    return 0
 
 
 if __name__ == "__main__":
