@@ -16,6 +16,12 @@ from bojax.results.merge import _timings
 from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
 DOCS = ROOT / "docs"
+REFERENCE = {
+    *("docs/configuration.md", "docs/results.md", "docs/reproduction.md"),
+    *(page.relative_to(ROOT).as_posix() for page in (DOCS / "settings").iterdir()),
+    *(page.relative_to(ROOT).as_posix() for page in (DOCS / "reproduction").glob("chapter*.md")),
+}
+"""Pages to look something up in, which may be long."""
 SHOWN = [(content, file) for page in PAGES for _, content, file in blocks(page) if file]
 COMMANDS = {tuple(words): None for page in PAGES for words in commands(page) if words[0] == "bojax"}
 
@@ -33,6 +39,22 @@ def test_every_example_is_shown_as_it_is_and_links_lead_somewhere():
     assert {ROOT / file for _, file in SHOWN} == {path for path in files if path.suffix != ".ipynb"}
     for page in PAGES:
         assert [target for target in links(page) if not (page.parent / target).exists()] == [], page
+
+
+def test_pages_are_short():
+    """A how-to takes less than a minute to read; only reference, found by its anchors, is longer."""
+    assert len((ROOT / "README.md").read_text().split()) <= 700
+    for page in PAGES:
+        words = len(page.read_text().split())
+        if page.parent.name == "howto":
+            assert words <= 200, page
+        elif page.relative_to(ROOT).as_posix() not in REFERENCE:
+            assert words <= 3000, page
+
+
+def test_every_page_is_in_the_navigation():
+    shown = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    assert sorted(shown) == sorted(page.relative_to(DOCS).as_posix() for page in PAGES[1:])
 
 
 def test_the_readme_counts_claims_as_the_page_of_the_reproduction():
@@ -113,8 +135,8 @@ def test_the_configuration_page_shows_files_that_load(tmp_path):
     assert [point.variant for point in sweep.points[::2]] == ["kcbts", "patient", "sbo-17"]
 
 
-def test_the_environments_page_shows_settings_that_load():
-    shown = [yaml.safe_load(text) for kind, text, _ in blocks(DOCS / "environments.md") if kind == "yaml"]
+def test_the_page_of_gymnasium_shows_settings_that_load():
+    shown = [yaml.safe_load(text) for kind, text, _ in blocks(DOCS / "gymnasium.md") if kind == "yaml"]
     for kind in ("gymnasium", "brax"):
         (env,) = [part["env"] for part in shown if part["env"]["kind"] == kind]
         assert Learning.model_validate({"env": env, "learner": "emu-q"}).env.kind == kind
