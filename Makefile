@@ -37,7 +37,7 @@ smoke:
 	.ci/smoke $(PYTHON)
 
 site: $(DEV_STAMP)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 format: $(DEV_STAMP)
 	$(BIN)/ruff format .
