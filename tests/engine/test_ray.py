@@ -58,6 +58,7 @@ def bojax(place: Path, *words: str, address: str | None, before: str = "", **var
     )
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_actors_nodes_and_drivers_are_lost(cluster, tmp_path):
     (tmp_path / "sweep.yaml").write_text(SWEEP)
@@ -101,6 +102,7 @@ def test_the_rounds_of_a_search_run_on_the_same_actors(cluster, tmp_path):
     assert 1 <= len(set(re.findall(r"_Actor pid=(\d+)", text))) <= 2, text
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_without_an_address_ray_is_started_here(cluster, tmp_path):
     """The file of Ray's last cluster names one that has ended, and Ray would wait for it."""
@@ -114,6 +116,7 @@ def test_without_an_address_ray_is_started_here(cluster, tmp_path):
     assert driver.returncode == 0, text
 
 
+@pytest.mark.slow
 @pytest.mark.ray
 def test_a_cluster_loses_its_only_node(tmp_path):
     (tmp_path / "sweep.yaml").write_text(SWEEP)
