@@ -230,7 +230,7 @@ def test_the_page_of_every_kind(tmp_path):
     for suffix in ("html", "md"):
         text = write_page(made, tmp_path / f"page.{suffix}").read_text()
         assert "1 of 2" in text and "Plausible." in text and "rate" in text
-    assert (tmp_path / "figures" / "own-together.svg").stat().st_size > 1000
+    assert (tmp_path / "figures" / "own-together.svg").is_file()
 
 
 def run(paper: Path, out: Path, *words: str) -> int:

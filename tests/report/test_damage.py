@@ -14,8 +14,6 @@ from bojax.report.build import build_report
 from bojax.results.store import ResultsError, fingerprint
 from tests.report.synthetic import edit_manifest, write_monitoring, write_results
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def refusal(folder):
     with pytest.raises(ResultsError) as error:

@@ -14,8 +14,6 @@ from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, exper
 from bojax.report.source import load
 from tests.report.synthetic import edit_manifest, write_monitoring, write_results
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 SHIPPED = [
     (load, name)
     for load, kind in ((load_config, "configs"), (load_sweep, "sweeps"))
