@@ -28,7 +28,7 @@ def outline_of(module: Any) -> dict[str, Any]:
     """
     try:
         outline_of_problem = getattr(getattr(module, "problem", None), "outline", None)
-        outline = outline_of_problem() if outline_of_problem else None  # a state problem has no world to draw
+        outline = outline_of_problem() if outline_of_problem else None
         return {} if outline is None else {"outline": outline.as_numbers()}
     except Exception as error:  # the user's code
         raise ConfigError(f"{type(module.problem).__name__}.outline: {error_line(error)}") from error

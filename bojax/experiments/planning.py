@@ -80,18 +80,19 @@ class PlanningEpisode(Experiment):
         world = problem.reset(jax.random.fold_in(key_world, 0))
         sampled = problem.samples_belief
         key_prior = jax.random.fold_in(key_planner, 0) if sampled else jax.random.fold_in(key_world, 1)
+        belief = problem.prior(key_prior, world, num_samples)
         zero = jnp.zeros((), jnp.result_type(*problem.row(world).values()))
         return PlanningState(
             key_world=key_world,
             key_planner=key_planner,
             world=world,
-            belief=problem.prior(key_prior, world, num_samples),
+            belief=belief,
             step=jnp.zeros((), jnp.int32),
             accumulated=zero,
             discounted=None if problem.return_discount is None else zero,
             is_done=jnp.zeros((), bool),
             failed=jnp.zeros((), bool),
-            record=problem.begin_record(world, num_samples),
+            record=problem.begin_record(world, belief, num_samples),
         )
 
     @override
@@ -127,7 +128,7 @@ class PlanningEpisode(Experiment):
             discounted=discounted,
             is_done=done,
             failed=failed,
-            record=problem.record(carry.record, carry.step, plan.action, events),
+            record=problem.record(carry.record, carry.step, plan.action, events, world, belief),
         )
         row = {
             "step": step,

@@ -5,10 +5,11 @@ from pathlib import Path
 
 from bojax.envs.settings import Gymnasium
 from bojax.experiments.settings import Planning
+from bojax.films.beliefs import BeliefFilm
 from bojax.films.film import Film
 from bojax.films.learning import LearningFilm
 from bojax.films.planning import PlanningFilm
-from bojax.films.recorded import Episode, choose_drive, choose_episode
+from bojax.films.recorded import Episode, choose_drive, choose_episode, choose_trace, has_traces
 from bojax.films.scenes import Replay
 from bojax.problems.pomdp.settings import StateProblemSettings
 from bojax.report.manifest import Unread
@@ -41,9 +42,10 @@ def choose_film(
         raise ResultsError(
             f"{results.folder}: got results of {experiment.kind}; only planners and learners can be animated"
         )
-    if isinstance(experiment.problem, StateProblemSettings):
-        what = experiment.problem.kind
-        raise ResultsError(f"{results.folder}: got results of {what}; only paths of robots can be animated")
     if episode is not None:
         raise ResultsError("--episode: a run of a planner is one episode")
+    if isinstance(experiment.problem, StateProblemSettings) or has_traces(results):
+        if model is not None:
+            raise ResultsError("--model: a state problem has no robot of MuJoCo to draw")
+        return BeliefFilm(choose_trace(results, point, run))
     return PlanningFilm(choose_drive(results, point, run), model)

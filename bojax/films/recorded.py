@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bojax.problems.settings import ProblemSettings
-from bojax.report.columns import Columns, where
+from bojax.report.columns import Arrays, Columns, where
+from bojax.report.drawing.sketches import Sketch, num_steps, taken
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
@@ -98,18 +99,49 @@ class Drive:
 
 def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
     """A recorded run of a planner, chosen by the arguments of `choose_film`."""
-    kept = {each.index: dict(results.arrays(each, "paths")) for each in results.points}
-    recorded = np.asarray([index for index, runs in kept.items() if runs], np.int64)
-    if not recorded.size:
-        raise ResultsError(f"{results.folder}: no paths were recorded (record.runs in the config: 1 or more)")
-    index = pick(results, "point", point, recorded)
-    chosen = next(each for each in results.points if each.index == index)
-    run = pick(results, "run", run, np.asarray(list(kept[index]), np.int64))
-    legs = tuple(_legs(kept[index][run], where(results.steps_of(chosen), run=run)))
+    chosen, run, arrays = _recorded(results, "paths", point, run)
+    legs = tuple(_legs(arrays, where(results.steps_of(chosen), run=run)))
     if not legs:
         raise ResultsError(f"{results.folder}: run {run} made no step")
     belief = dict(results.arrays(chosen, "belief")).get(run, {})
     return Drive(chosen, run, legs, belief, _outcome(chosen, where(results.runs_of(chosen), run=run)))
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A run of a planner on a state problem."""
+
+    point: Point
+    run: int
+    sketch: Sketch
+    accumulated: Floats  # sum of the rewards up to each step, 0 before the first, `[T + 1]`
+
+
+def has_traces(results: Results) -> bool:
+    """Whether runs on a state problem were recorded."""
+    return any(True for point in results.points for _ in results.arrays(point, "sketch"))
+
+
+def choose_trace(results: Results, point: int | None = None, run: int | None = None) -> Trace:
+    """A recorded run on a state problem, chosen by the arguments of `choose_film`."""
+    chosen, run, arrays = _recorded(results, "sketch", point, run)
+    rows = where(results.steps_of(chosen), run=run)
+    sketch = taken(arrays)
+    accumulated = np.concatenate([[0.0], rows["accumulated_reward"]])[: num_steps(sketch) + 1]
+    return Trace(chosen, run, sketch, accumulated)
+
+
+def _recorded(results: Results, name: str, point: int | None, run: int | None) -> tuple[Point, int, Arrays]:
+    """The chosen point and run, and the arrays that were recorded of it under a name."""
+    kept = {each.index: dict(results.arrays(each, name)) for each in results.points}
+    recorded = np.asarray([index for index, runs in kept.items() if runs], np.int64)
+    if not recorded.size:
+        what = "paths were" if name == "paths" else f"{name} was"
+        raise ResultsError(f"{results.folder}: no {what} recorded (record.runs in the config: 1 or more)")
+    index = pick(results, "point", point, recorded)
+    chosen = next(each for each in results.points if each.index == index)
+    run = pick(results, "run", run, np.asarray(list(kept[index]), np.int64))
+    return chosen, run, kept[index][run]
 
 
 def _legs(arrays: Mapping[str, Floats], rows: Columns) -> Iterator[Leg]:

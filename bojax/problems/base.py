@@ -107,12 +107,14 @@ class Problem(eqx.Module):
     def summary(self, record: Record, world: World, belief: Belief) -> dict[str, Scalar]:
         """What `runs.parquet` says about an episode, beside what the experiment fills in."""
 
-    def begin_record(self, world: World, num_samples: int) -> Record:
+    def begin_record(self, world: World, belief: Belief, num_samples: int) -> Record:
         """The record before the first action, of `max_steps` actions; None if nothing is recorded."""
         return None
 
-    def record(self, record: Record, step: Scalar, action: Action, events: Any) -> Record:
-        """The record after action number `step`, counted from 0."""
+    def record(
+        self, record: Record, step: Scalar, action: Action, events: Any, world: World, belief: Belief
+    ) -> Record:
+        """The record after action number `step`, counted from 0, with the world and the belief after it."""
         return record
 
     def arrays(self, record: Record, world: World, belief: Belief) -> dict[str, dict[str, Array]]:

@@ -45,6 +45,12 @@ class Particles(eqx.Module):
         """
         return 0.5 * jnp.linalg.slogdet(self.covariance)[1]
 
+    def quantiles(self, num: int) -> Float[Array, "N D"]:
+        """`num` states that represent the belief: those at equal distances in the sum of the weights."""
+        ends = jnp.cumsum(jnp.exp(self.log_weights))
+        at = (jnp.arange(num, dtype=ends.dtype) + 0.5) / num * ends[-1]
+        return self.states[jnp.searchsorted(ends, at)]
+
     def sample(self, key: Key[Array, ""]) -> Float[Array, "D"]:
         """A state drawn by weight."""
         return self.states[jax.random.categorical(key, self.log_weights)]

@@ -175,7 +175,7 @@ class PathProblem(Problem):
         return {"success": record.success, "exits": record.exited, **self.score(world, belief)}
 
     @override
-    def begin_record(self, world: World, num_samples: int) -> PathRecord:
+    def begin_record(self, world: World, belief: Belief, num_samples: int) -> PathRecord:
         start = self.pose(world)
 
         def not_taken(*shape: int) -> Float[Array, "..."]:
@@ -198,7 +198,13 @@ class PathProblem(Problem):
 
     @override
     def record(
-        self, record: PathRecord, step: Int[Array, ""], action: Path, events: PathEvents
+        self,
+        record: PathRecord,
+        step: Int[Array, ""],
+        action: Path,
+        events: PathEvents,
+        world: World,
+        belief: Belief,
     ) -> PathRecord:
         failed = jnp.zeros((), bool) if events.failed is None else events.failed
         return replace(

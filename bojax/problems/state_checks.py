@@ -58,6 +58,10 @@ def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
     _require_vector("observe", observation, problem.discount)
     log_likelihood = problem.log_likelihood(observation, state, action, next_state)
     require("log_likelihood", log_likelihood, problem.discount)
+    points = problem.sketch(state)
+    sizes = {point.shape for point in points.values()} if isinstance(points, dict) else set()
+    if sizes not in ({(1,)}, {(2,)}):
+        _refuse("sketch: allowed: a dictionary of vectors, all of 1 number or all of 2")
 
 
 def _require_vector(name: str, value: Float[Array, "N"], example: Float[Array, ""]) -> None:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Key, Scalar
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from typing_extensions import override
 
 from bojax.problems import particles
@@ -25,6 +25,12 @@ from bojax.problems.base import (
 from bojax.problems.particles import Particles
 from bojax.problems.state_model import StateModel
 from bojax.results.schema import Column, Table
+
+NUM_DRAWN = 64
+"""Number of states of a belief that are recorded for pictures and films."""
+
+Sketch = dict[str, Float[Array, "*T N P"]]
+"""Points by name, see `StateProblem.sketch`: of the true state, then of states of the belief."""
 
 
 class StateEvents(Events):
@@ -63,6 +69,13 @@ class StateProblem(StateModel, Problem):
         """Check the number of particles, or raise ValueError."""
         if self.num_particles < 1:
             raise ValueError(f"num_particles: got {self.num_particles}; allowed: >= 1")
+
+    def sketch(self, state: Float[Array, "D"]) -> dict[str, Float[Array, "P"]]:
+        """What pictures and films draw of a state: named points of a plane, or numbers, drawn by step.
+
+        By default, the first two components of the state, or its only one. The scenery is `outline`.
+        """
+        return {"state": state[:2]}
 
     def filter(
         self,
@@ -129,7 +142,37 @@ class StateProblem(StateModel, Problem):
         return {f"state_{index}": value for index, value in enumerate(world)}
 
     @override
-    def summary(self, record: None, world: Float[Array, "D"], belief: Particles) -> dict[str, Scalar]:
+    def begin_record(self, world: Float[Array, "D"], belief: Particles, num_samples: int) -> Sketch:
+        points = self._points(world, belief)
+        empty = (jnp.full((self.max_steps + 1, *x.shape), jnp.nan, x.dtype) for x in points.values())
+        return {name: record.at[0].set(points[name]) for name, record in zip(points, empty, strict=True)}
+
+    @override
+    def record(
+        self,
+        record: Sketch,
+        step: Int[Array, ""],
+        action: Float[Array, "K"],
+        events: StateEvents,
+        world: Float[Array, "D"],
+        belief: Particles,
+    ) -> Sketch:
+        points = self._points(world, belief)
+        return {name: rows.at[step + 1].set(points[name]) for name, rows in record.items()}
+
+    @override
+    def arrays(
+        self, record: Sketch, world: Float[Array, "D"], belief: Particles
+    ) -> dict[str, dict[str, Array]]:
+        """The points of every step, `[max_steps + 1, 1 + NUM_DRAWN, P]`; NaN after the last one."""
+        return {"sketch": record}
+
+    def _points(self, world: Float[Array, "D"], belief: Particles) -> Sketch:
+        states = jnp.concatenate([world[None], belief.quantiles(NUM_DRAWN)])
+        return jax.vmap(self.sketch)(states)
+
+    @override
+    def summary(self, record: Sketch, world: Float[Array, "D"], belief: Particles) -> dict[str, Scalar]:
         assert belief.collapses is not None
         return {"collapses": belief.collapses}
 

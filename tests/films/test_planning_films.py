@@ -344,14 +344,6 @@ class TestWithoutAScreen:
         assert not _works("no-such-thing")
 
 
-def test_state_problems_are_not_animated(tmp_path):
-    folder = planning_results(tmp_path / "results", Parking())
-    config = {"kind": "planning", "problem": {"kind": "tiger"}, "planner": {"kind": "pomcpow"}}
-    edit_manifest(folder, lambda manifest: manifest["points"][0].update(config=config))
-    with pytest.raises(ResultsError, match="got results of tiger; only paths of robots can be animated"):
-        choose_film(load(folder))
-
-
 def test_gallery_results_do_not_move(tmp_path):
     folder = planning_results(tmp_path / "results", Parking())
     edit_manifest(folder, lambda manifest: manifest["points"][0].update(config={"kind": "trajectories"}))

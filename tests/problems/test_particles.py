@@ -55,6 +55,9 @@ def test_moments_are_weighted():
     np.testing.assert_allclose(belief.mean, weights @ states)
     np.testing.assert_allclose(belief.covariance, covariance)
     np.testing.assert_allclose(belief.entropy, 0.5 * np.log(np.linalg.det(covariance)))
+    ends = np.cumsum(weights)
+    at = [next(i for i in range(50) if (j + 0.5) / 8 <= ends[i]) for j in range(8)]
+    np.testing.assert_array_equal(belief.quantiles(8), states[at])
     drawn = jax.vmap(belief.sample)(jax.random.split(jax.random.key(4), 20_000))
     error = np.sqrt(np.diag(covariance) / 20_000)
     assert np.all(np.abs(np.mean(drawn, axis=0) - weights @ states) < 4.0 * error)

@@ -45,6 +45,9 @@ class Line(StateProblem):
         reward = -jnp.sqrt(moved[0]) if self.mistake == "reward" else -jnp.abs(moved[0])
         return moved, reward, moved[0] > 3.0
 
+    def sketch(self, state):
+        return {"x": jnp.stack([state[0]] * 3)} if self.mistake == "sketch" else super().sketch(state)
+
     def observe(self, key, state, action, next_state):
         if self.mistake == "observation":
             return next_state[0] + self.noise * jax.random.normal(key, (), float)
@@ -109,6 +112,7 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
         ("a callback", "not pure: two calls with equal arguments differ"),
         ("density", "log_likelihood is never negative, even far from all observations"),
         ("nan", "log_likelihood is NaN for an observation"),
+        ("sketch", "sketch: allowed: a dictionary of vectors, all of 1 number or all of 2"),
         ("no noise", "log_likelihood: none of 1000 particles explains the first observation"),
     )
     assert_refused((refused(Line(mistake=name)), f"^problem: Line: {message}") for name, message in mistakes)

@@ -13,6 +13,7 @@ from bojax.problems import particles
 from bojax.problems.actions import Discrete
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
+from bojax.results.outline import Outline
 
 MAX_REPLACED = 0.05
 """Largest share of particles that the published filter replaces after an observation."""
@@ -58,6 +59,14 @@ class LightDark(StateProblem):
 
         values = jax.lax.fori_loop(0, states.shape[0], sweep, jnp.full_like(states, self.wrong_stop_reward))
         self.action_values = self._backed_up(values, next_states, rewards, ended)
+
+    @override
+    def sketch(self, state: Float[Array, "1"]) -> dict[str, Float[Array, "1"]]:
+        return {"light": self.light[None], "position": state}
+
+    @override
+    def outline(self) -> Outline:
+        return Outline(goals=[(0.0, -0.5, self.max_steps, 0.5)])
 
     @property
     @override

@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from bojax.problems.actions import Balls
 from bojax.problems.state_space import StateProblem
+from bojax.results.outline import Outline
 
 
 class LightDarkNd(StateProblem):
@@ -38,6 +39,18 @@ class LightDarkNd(StateProblem):
     num_dims: int = eqx.field(static=True)
     num_agents: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+
+    @override
+    def sketch(self, state: Float[Array, "D"]) -> dict[str, Float[Array, "2"]]:
+        """The first and the last coordinate of the beacon and of every agent."""
+        agents = state.reshape(self.num_agents, self.num_dims)
+        names = ["agent"] if self.num_agents == 1 else [f"agent {i + 1}" for i in range(self.num_agents)]
+        places = jnp.concatenate([self._beacon()[None], agents])[:, jnp.asarray([0, -1])]
+        return dict(zip(["beacon", *names], places, strict=True))
+
+    @override
+    def outline(self) -> Outline:
+        return Outline(goals=[(0.0, self.goal_distance, self.goal_tolerance)])
 
     @property
     @override
@@ -91,12 +104,14 @@ class LightDarkNd(StateProblem):
         goal = jnp.zeros(self.num_dims, state.dtype).at[-1].set(self.goal_distance)
         return _lengths(state.reshape(self.num_agents, self.num_dims) - goal[None])
 
+    def _beacon(self) -> Float[Array, "P"]:
+        beacon = jnp.zeros(self.num_dims, self.discount.dtype).at[-1].set(0.5 * self.goal_distance)
+        return beacon.at[0].add(self.beacon_offset)
+
     def _reading(self, state: Float[Array, "D"]) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
         """Mean and standard deviations of an observation."""
         positions = state.reshape(self.num_agents, self.num_dims)
-        beacon = jnp.zeros(self.num_dims, state.dtype).at[-1].set(0.5 * self.goal_distance)
-        beacon = beacon.at[0].add(self.beacon_offset)
-        offsets = positions - jnp.concatenate([beacon[None], positions[:-1]])
+        offsets = positions - jnp.concatenate([self._beacon()[None], positions[:-1]])
         distance = _lengths(offsets)
         noise = jnp.minimum(self.max_noise, self.noise_scale * (distance + distance**self.noise_power))
         return offsets.ravel(), jnp.repeat(noise, self.num_dims)

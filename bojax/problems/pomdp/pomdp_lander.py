@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from bojax.problems.actions import Box
 from bojax.problems.state_space import StateProblem
+from bojax.results.outline import Outline
 
 
 class PomdpLander(StateProblem):
@@ -40,6 +41,15 @@ class PomdpLander(StateProblem):
     step_reward: Float[Array, ""]
     discount: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
+
+    @override
+    def sketch(self, state: Float[Array, "6"]) -> dict[str, Float[Array, "2"]]:
+        return {"lander": state[:2]}
+
+    @override
+    def outline(self) -> Outline:
+        width, ground = self.max_distance, self.landing_height
+        return Outline(border=(-width, ground, width, self.initial_mean[1] + 5.0))
 
     @property
     @override

@@ -9,6 +9,7 @@ from typing_extensions import override
 from bojax.problems.actions import Discrete
 from bojax.problems.pomdp.beams import Beams, beam_towards
 from bojax.problems.state_space import StateProblem
+from bojax.results.outline import Outline
 
 PING, ENGAGE = 4, 5
 
@@ -44,6 +45,15 @@ class SubHunt(StateProblem):
     num_beams: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
     action_values: Float[Array, "X Y X Y 4 2 6"] | None = None
+
+    @override
+    def sketch(self, state: Float[Array, "6"]) -> dict[str, Float[Array, "2"]]:
+        return {"own": state[:2], "target": state[2:4]}
+
+    @override
+    def outline(self) -> Outline:
+        low, high = 0.5, self.size + 0.5
+        return Outline(border=(low, low, high, high))
 
     @property
     @override

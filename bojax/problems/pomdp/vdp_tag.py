@@ -9,6 +9,7 @@ from typing_extensions import override
 from bojax.problems.actions import Box, Mixed
 from bojax.problems.pomdp.beams import Beams, beam_towards
 from bojax.problems.state_space import StateProblem
+from bojax.results.outline import Outline
 
 
 class VdpTag(StateProblem):
@@ -85,6 +86,16 @@ class VdpTag(StateProblem):
     @override
     def is_terminal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
         return _length(state[2:] - state[:2]) < self.tag_radius
+
+    @override
+    def sketch(self, state: Float[Array, "4"]) -> dict[str, Float[Array, "2"]]:
+        return {"agent": state[:2], "target": state[2:]}
+
+    @override
+    def outline(self) -> Outline:
+        start, end, thin = self.barrier_start, self.barrier_end, 0.03
+        across = [(start, -thin, end, thin), (-end, -thin, -start, thin)]
+        return Outline(obstacles=[*across, *((y0, x0, y1, x1) for x0, y0, x1, y1 in across)])
 
     def drift(self, target: Float[Array, "2"]) -> Float[Array, "2"]:
         """The target's next position without noise: x' = mu (x - x^3 / 3 - y), y' = x / mu, by RK4."""

@@ -1,0 +1,62 @@
+"""A film of a planner on a state problem: the true state, and states of its belief, step by step."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from PIL import Image
+from typing_extensions import override
+
+from bojax.films.film import MAX_FRAMES, STILL, Film, blank, photograph
+from bojax.films.recorded import Trace
+from bojax.report.drawing.sketches import draw_step, is_by_step, legend_of, num_steps, set_stage
+from bojax.report.style import INK, drawn_text
+from bojax.report.text import file_name
+
+_SLOWEST, _FASTEST, _LONGEST = 0.5, 0.1, 15.0
+"""Seconds of a step, at most and at least, and of a film whose steps are between them."""
+
+
+class BeliefFilm(Film):
+    """The steps of an episode, one after the other, as `StateProblem.sketch` draws them."""
+
+    def __init__(self, trace: Trace):
+        self._trace = trace
+        count = num_steps(trace.sketch) + 1
+        self._steps = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int))
+        self.name = f"{file_name(trace.point.name)}-run{trace.run}"
+        self.num_images = len(self._steps)
+        self.seconds = round(float(np.clip(_LONGEST / self.num_images, _FASTEST, _SLOWEST)), 2)
+
+    @override
+    def images(self) -> Iterator[Image.Image]:
+        figure, trace = blank(4.2, 4.6), self._trace
+        problem = trace.point.problem
+        title = f"{problem.kind if problem else ''}: {trace.point.name}, run {trace.run}"
+        figure.text(0.03, 0.945, drawn_text(title), color=INK, fontsize=10)
+        status = figure.text(0.03, 0.895, "", color=INK, fontsize=10)
+        axes = figure.add_axes((0.12, 0.11, 0.85, 0.74) if self._is_by_step else (0.02, 0.07, 0.96, 0.80))
+        self._stage(axes)
+        entries = zip(*legend_of([trace.sketch]), strict=True)
+        figure.legend(*entries, loc="lower center", ncols=4, frameon=False, handletextpad=0.1, fontsize=9)
+        for step in self._steps.tolist():
+            status.set_text(f"step {step} of {num_steps(trace.sketch)}, reward {trace.accumulated[step]:.4g}")
+            lines = draw_step(axes, trace.sketch, step)
+            yield photograph(figure)
+            for line in lines:
+                line.remove()
+
+    @override
+    def still(self, share: float) -> Image.Image:
+        figure = blank(*STILL)
+        axes = figure.add_axes((0.1, 0.1, 0.88, 0.88) if self._is_by_step else (0.01, 0.01, 0.98, 0.98))
+        self._stage(axes)
+        draw_step(axes, self._trace.sketch, round(share * num_steps(self._trace.sketch)))
+        return photograph(figure)
+
+    @property
+    def _is_by_step(self) -> bool:
+        return is_by_step(self._trace.sketch)
+
+    def _stage(self, axes: Axes) -> None:
+        set_stage(axes, self._trace.sketch, self._trace.point.outline)

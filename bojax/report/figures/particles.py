@@ -1,0 +1,65 @@
+"""The belief of particles and the true state during the first recorded run of each point."""
+
+from collections.abc import Sequence
+
+from bojax.report import style
+from bojax.report.drawing.base import Drawing, points_with
+from bojax.report.drawing.sketches import (
+    Sketch,
+    draw_step,
+    is_by_step,
+    legend_of,
+    num_steps,
+    set_stage,
+    sketches,
+)
+from bojax.report.source import Point, Results
+from bojax.report.text import joined
+
+RANK = 125
+
+MAX_ROWS = 6  # most rows that fit a screen; of more points, the best of each label is drawn
+
+_SHARES = (0.0, 1 / 3, 2 / 3, 1.0)
+"""Shares of an episode after which the belief is drawn."""
+
+
+def draw(results: Results) -> Drawing:
+    """One row per point: the belief at four times of an episode, or one panel with all steps of a number."""
+    found, note = points_with(
+        results, lambda point: sketches(results, point), "no recorded sketch of a state in arrays/", MAX_ROWS
+    )
+    shown = [(point, *next(iter(kept.items()))) for point, kept in found]
+    columns = 1 if all(is_by_step(sketch) for _, _, sketch in shown) else len(_SHARES)
+    figure, grid = style.figure((1.9 if columns == 1 else 1.35) * len(shown) + 0.5, len(shown), columns)
+    looks, names = style.looks([each[0] for each in shown]), style.drawn_names([each[0] for each in shown])
+    told = []
+    for row, name, look, (point, run, sketch) in zip(grid, names, looks, shown, strict=True):
+        last = num_steps(sketch)
+        steps = [last] if columns == 1 else [round(share * last) for share in _SHARES]
+        for axes, step in zip(row, steps, strict=True):
+            set_stage(axes, sketch, point.outline)
+            draw_step(axes, sketch, step, 0.6)
+            axes.set_title("" if columns == 1 else f"step {step}", pad=3, fontsize=9)
+        row[0].set_ylabel(style.wrapped(name, 19), color=look["color"], labelpad=3)
+        told.append(f"{point.name}: run {run}, {last} steps")
+    if columns == 1:
+        grid[-1, 0].set_xlabel("step")
+    figure.legend(
+        *zip(*legend_of([sketch for _, _, sketch in shown]), strict=True),
+        loc="outside lower center",
+        ncols=4,
+        handletextpad=0.2,
+    )
+    runs = joined(sorted({run for _, run, _ in shown}))
+    return Drawing(
+        figure=figure,
+        title="Belief during an episode",
+        caption="Large dots: the true state, with its path over the last steps. Small dots: "
+        f"{_num_drawn(shown)} states of the belief. Run {runs}.{note}",
+        alt=f"The true state and states of the belief at some steps of an episode. {'; '.join(told)}.",
+    )
+
+
+def _num_drawn(shown: Sequence[tuple[Point, int, Sketch]]) -> int:
+    return max(next(iter(sketch.values())).shape[1] - 1 for _, _, sketch in shown)

@@ -1,0 +1,99 @@
+"""Films and figures of state problems show the recorded states, step by step."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.figure import Figure
+
+from bojax.films.choose import choose_film
+from bojax.films.film import render, write_still
+from bojax.report.drawing.base import FigureUnavailable
+from bojax.report.drawing.sketches import draw_step, set_stage, sketches
+from bojax.report.figures.particles import draw
+from bojax.report.source import load
+from bojax.results.store import ResultsError
+
+STEPS, ROOM, DRAWN = 4, 6, 16
+
+
+def belief_results(folder, kind="light-dark", outline=None, recorded=True):
+    """Two runs of one point: a state that moves by 1 a step, and a belief whose spread is halved."""
+    (folder / "arrays").mkdir(parents=True)
+    size = 1 if kind == "light-dark" else 2
+    spread = np.linspace(-1.0, 1.0, DRAWN)[:, None] * np.ones(size)
+    rows = np.full((ROOM + 1, 1 + DRAWN, size), np.nan)
+    for step in range(STEPS + 1):
+        rows[step] = step + np.concatenate([np.zeros((1, size)), 3.0 * 0.5**step * spread])
+    for run in (0, 1) if recorded else ():
+        arrays = {"fixed": np.where(np.isnan(rows), np.nan, 2.0), "moving": rows}
+        np.savez(folder / "arrays" / f"0-{run}-sketch-end.npz", **arrays)
+    common = {"point": 0, "label": "pomcpow"}
+    runs = [common | {"run": run, "return": -4.0, "steps": STEPS} for run in (0, 1)]
+    steps = [{"step": step + 1, "accumulated_reward": -1.5 * (step + 1)} for step in range(STEPS)]
+    pq.write_table(pa.Table.from_pylist(runs), folder / "runs.parquet")
+    pq.write_table(
+        pa.Table.from_pylist([common | {"run": run} | step for run in (0, 1) for step in steps]),
+        folder / "steps.parquet",
+    )
+    config = {"kind": "planning", "problem": {"kind": kind}, "planner": {"kind": "pomcpow"}}
+    point = {"index": 0, "label": "pomcpow", "variant": "pomcpow", "swept": {}, "config": config}
+    if outline is not None:
+        point["outline"] = outline
+    manifest = {"name": "made-up", "status": "finished", "points": [point]}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["light-dark", "vdp-tag"])
+def test_a_film_has_a_picture_of_each_step(tmp_path, kind):
+    results = load(belief_results(tmp_path / "results", kind, {"obstacles": [[1.0, 1.0, 2.0, 1.1]]}))
+    film = choose_film(results, run=1)
+    assert (film.name, film.num_images, film.seconds) == ("pomcpow-run1", STEPS + 1, 0.5)
+    pictures = [np.asarray(image) for image in film.images()]
+    assert len(pictures) == STEPS + 1
+    for before, after in zip(pictures, pictures[1:], strict=False):
+        assert np.any(before[70:] != after[70:])
+    assert render(film, tmp_path / "animations")[0].stat().st_size < 200_000
+    write_still(film, tmp_path / "still.png", 0.5)
+    assert (tmp_path / "still.png").exists()
+
+
+def test_the_belief_of_the_step_is_drawn(tmp_path):
+    results = load(belief_results(tmp_path / "results", "vdp-tag"))
+    point = results.points[0]
+    sketch = sketches(results, point)[0]
+    axes = Figure().add_subplot()
+    set_stage(axes, sketch, point.outline)
+    left, right = axes.get_xlim()
+    assert left < -3.0 and right > 4.0 + 3.0 * 0.5**STEPS  # the extremes of all steps
+    cloud, path, now = draw_step(axes, sketch, 2)[3:]  # after those of the fixed point
+    np.testing.assert_allclose(cloud.get_xdata(), 2.0 + 0.75 * np.linspace(-1.0, 1.0, DRAWN))
+    np.testing.assert_allclose(path.get_xdata(), [0.0, 1.0, 2.0])
+    assert (now.get_xdata()[0], now.get_ydata()[0]) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize("kind, panels", [("light-dark", 1), ("vdp-tag", 4)])
+def test_the_figure_shows_the_first_recorded_run(tmp_path, kind, panels):
+    drawing = draw(load(belief_results(tmp_path / "results", kind)))
+    titles = [axes.get_title() for axes in drawing.figure.axes]
+    assert titles == ([""] if panels == 1 else ["step 0", "step 1", "step 3", "step 4"])
+    assert f"{DRAWN} states of the belief. Run 0." in drawing.caption and "run 0, 4 steps" in drawing.alt
+    assert drawing.files["png"]
+
+
+def test_what_was_not_recorded_is_not_drawn(tmp_path):
+    results = load(belief_results(tmp_path / "results", recorded=False))
+    with pytest.raises(FigureUnavailable, match="no recorded sketch"):
+        draw(results)
+    with pytest.raises(ResultsError, match="no sketch was recorded"):
+        choose_film(results)
+    shown = load(belief_results(tmp_path / "others"))
+    with pytest.raises(ResultsError, match=r"--model: a state problem has no robot"):
+        choose_film(shown, model=tmp_path)
+    with pytest.raises(ResultsError, match="--episode"):
+        choose_film(shown, episode=2)
+    with pytest.raises(ResultsError, match="no steps of run 7"):
+        choose_film(shown, run=7)
