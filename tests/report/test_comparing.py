@@ -145,7 +145,6 @@ MISTAKES = (
         GOOD + "b,1,1,5\n",
         "x: run 1 of b has 1 row, run 0 has 2, and only one of them has x = 2; allowed: equal x in all runs",
     ),
-    ("label,run,x,value\na,0,1,0.5\n", None),
     ('label,run,x,value\n"a,0,1,2\n', "cannot be read (unexpected end of data); allowed: CSV"),
 )
 
@@ -164,12 +163,17 @@ class TestCurveFiles:
         monkeypatch.chdir(tmp_path)
         for content, told in MISTAKES:
             (tmp_path / "other.csv").write_text(content)
-            message = f"other.csv: {told}" if told else "got one curve, a; allowed: two or more"
-            refused(capsys, ["--csv", "other.csv"], message, tmp_path)
+            refused(capsys, ["--csv", "other.csv"], f"other.csv: {told}", tmp_path)
         for content in (b"\xff\xfe\x00label", b"label,run,x,value\na,0,1,\xff\n"):
             (tmp_path / "x.csv").write_bytes(content)
             with pytest.raises(ResultsError, match="cannot be read|unknown column"):
                 read_curves(tmp_path / "x.csv")
+
+    def test_a_single_method_has_scores_and_no_comparison(self, tmp_path):
+        (tmp_path / "x.csv").write_text("label,run,x,value\na,0,1,0.5\na,1,1,2.5\n")
+        page = compare([], [tmp_path / "x.csv"], tmp_path / "out").read_text()
+        assert "1 method (a) of 1 source" in page and ">1.5<" in re.sub(r"\s", "", page)
+        assert "P(better" not in page and "difference from" not in page
 
     def test_rows_and_columns_may_have_any_order(self, tmp_path):
         (tmp_path / "x.csv").write_text(

@@ -364,7 +364,6 @@ class TestMistakes:
                 ["--csv", "evals"],
                 "evals/evaluations.npz: results: got shape (1, 1); allowed: a row for each of 2",
             ),
-            (["--csv", "ppo"], "got one curve, ppo; allowed: two or more"),
         ):
             refused(capsys, words, message, here)
 

@@ -149,15 +149,16 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
     if not any(np.isfinite(interval.estimate) for interval in (*means, *iqms)):
         raise FigureUnavailable("no method has scores of all its runs")
     points = [each.point for each in methods]
-    figure, grid = dot_plot(points, 1, 3, ticks=2, spare=1.0, least=0.26)
-    titles = ("mean", "IQM", "P(better)")
-    for axes, title, intervals in zip(grid[0], titles, (means, iqms, better), strict=True):
+    panels = {"mean": means, "IQM": iqms} | ({"P(better)": better} if len(methods) > 1 else {})
+    figure, grid = dot_plot(points, 1, len(panels), ticks=2, spare=1.0, least=0.26)
+    for axes, (title, intervals) in zip(grid[0], panels.items(), strict=True):
         draw_intervals(axes, points, intervals)
         axes.xaxis.set_major_formatter(lambda value, _: _tick(value))
         axes.set_title(title)
-    grid[0, 2].set_xlim(-0.06, 1.06)
-    grid[0, 2].set_xticks([0, 0.5, 1], ["0", "50", "100%"])
-    grid[0, 2].axvline(0.5, color="#9A9A9A", linewidth=0.8, zorder=0.5)
+        if title == "P(better)":
+            axes.set_xlim(-0.06, 1.06)
+            axes.set_xticks([0, 0.5, 1], ["0", "50", "100%"])
+            axes.axvline(0.5, color="#9A9A9A", linewidth=0.8, zorder=0.5)
     told = [
         f"{each.name}: mean {number(mean.estimate)}, IQM {number(middle.estimate)}"
         + (f", P(better) {percent(share.estimate)}" if each is not reference else "")
@@ -166,8 +167,13 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
     return Drawing(
         figure=figure,
         title="Scores",
-        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(reference, measure)}, and the "
-        f"probability that a run is better than one of {reference.name}, with 95% intervals.{note}",
+        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(reference, measure)}"
+        + (
+            f", and the probability that a run is better than one of {reference.name}"
+            if len(panels) > 2
+            else ""
+        )
+        + f", with 95% intervals.{note}",
         alt=f"Dot plots with intervals. {'; '.join(told)}.",
     )
 

@@ -154,8 +154,6 @@ def methods_of(results: Sequence[Results], sources: Sequence[Source], measure: M
             if known and task and task not in known:
                 raise ResultsError(f"{path}: task: got {task}{allowed_names(task, known)}")
         found += of_file(path, rows, measure, known[0] if known else "")
-    if len(found) < 2:
-        raise ResultsError(f"got one curve, {found[0].name}; allowed: two or more")
     return named(found)
 
 

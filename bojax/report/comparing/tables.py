@@ -69,11 +69,11 @@ def _budget_cell(method: Method, measure: Measure) -> tables.Cell:
 
 
 def scores(task: Task, measure: Measure) -> tables.Table:
-    """One row per method of a task: mean, interquartile mean, and comparison with the reference.
+    """One row per method: mean, interquartile mean, and the comparison of several with the reference.
 
     Where budgets differ, the row says so; the caption has the remarks on the budget.
     """
-    rows, reference = [], task.reference
+    rows, reference, is_compared = [], task.reference, len(task.methods) > 1
     has_budgets = any(np.isfinite(each.budget) and each.budget != each.at for each in task.methods)
     has_cuts = any(each.cut_off for each in task.methods)
     for each in task.methods:
@@ -84,7 +84,7 @@ def scores(task: Task, measure: Measure) -> tables.Table:
             tables.interval_cell(middle),
         ]
         if each is reference:
-            cells += [tables.Cell(MISSING)] * 3
+            cells += [tables.Cell(MISSING)] * 3 * is_compared
         else:
             cells += [
                 tables.interval_cell(difference(each, reference)),
@@ -97,7 +97,8 @@ def scores(task: Task, measure: Measure) -> tables.Table:
             cells.append(tables.count_cell(len(each.cut_off)))
         rows.append((each.name, cells))
     than = reference.name
-    headings = ["runs", "mean", "IQM", f"difference from {than}", f"P(better than {than})", "runs are"]
+    headings = ["runs", "mean", "IQM"]
+    headings += [f"difference from {than}", f"P(better than {than})", "runs are"] * is_compared
     headings += [f"budget ({measure.unit}s)"] * has_budgets + ["runs cut off"] * has_cuts
     return tables.Table(headings, rows, remarks(task, measure))
 
