@@ -449,6 +449,17 @@ def test_several_devices_trace_a_program_once(cache, monkeypatch, tmp_path):
     assert len(exported) == len(programs_in(cache))
 
 
+def test_options_of_the_compiler_for_a_cpu_give_way_to_flags_of_the_user(monkeypatch):
+    given = []
+    program = program_cache.Program.of_trees(lambda x: x + 1, np.zeros(2))
+    monkeypatch.setattr(jax.stages.Lowered, "compile", lambda _, options: given.append(options))
+    for flags in ("", "--xla_backend_optimization_level=3"):
+        monkeypatch.setenv("XLA_FLAGS", flags)
+        program.compile("two", DEVICE)
+    passes = {"xla_llvm_disable_expensive_passes": True}
+    assert given == [{"xla_backend_optimization_level": 1} | passes, passes]
+
+
 def test_only_rows_of_recorded_lanes_leave_the_device():
     programs = Programs(Functions(group_of()), DEVICE, 3, 0, recorded=2)
     given = programs.place(np.zeros(3, int), np.arange(3))
