@@ -29,17 +29,10 @@ def sweeps_of(name: str) -> list[str]:
     Raises:
         ConfigError: The name stands for no sweep.
     """
-    sweeps = _sweeps()
-    if name in OTHERS:
-        return [each for each in sweeps if each.startswith(OTHERS[name])]
-    if name == ALL or name in CHAPTERS:
-        apart = STUDY, *OTHERS.values()
-        of_thesis = [each for each in sweeps if not each.startswith(apart) and "claims" in sweeps[each]]
-        return [each for each in of_thesis if each.partition("-")[2].startswith(CHAPTERS.get(name, ""))]
-    name = _aliases().get(name, name)
-    meant = [name] if name in sweeps else [each for each in sweeps if _is_part_of(each, name)]
+    contents = _contents()
+    meant = _meant(name, contents)
     if not meant:
-        allowed = {*groups(), *_aliases(), *sweeps}
+        allowed = {*groups(), *contents}
         if name in available("configs"):
             raise ConfigError(f"got {name}, a config; start it with: bojax run {name}")
         raise ConfigError(f"got {name}; allowed: {listed(name, allowed)}{did_you_mean(name, allowed)}")
@@ -48,22 +41,28 @@ def sweeps_of(name: str) -> list[str]:
 
 def groups() -> dict[str, list[str]]:
     """The names of figures, tables, chapters, other groups and `all`, each with the sweeps it stands for."""
-    sweeps = _sweeps()
-    figures = dict.fromkeys(match[0] for name in sweeps if (match := _FIGURE.match(name)))
-    names = [name for name in figures if name not in sweeps]
-    return {name: sweeps_of(name) for name in (*names, *CHAPTERS, *OTHERS, ALL)}
+    contents = _contents()
+    figures = dict.fromkeys(match[0] for name in contents if (match := _FIGURE.match(name)))
+    names = [name for name in figures if name not in contents]
+    return {name: _meant(name, contents) for name in (*names, *CHAPTERS, *OTHERS, ALL)}
 
 
-def _sweeps() -> dict[str, dict[str, Any]]:
-    """The content of all sweeps by name, without aliases."""
-    contents = {name: _content(path) for name, path in available("sweeps").items()}
-    return {name: content for name, content in contents.items() if "alias" not in content}
+def _meant(name: str, contents: dict[str, dict[str, Any]]) -> list[str]:
+    """The sweeps that a name stands for, without aliases; none if it is unknown."""
+    sweeps = [each for each in contents if "alias" not in contents[each]]
+    if name in OTHERS:
+        return [each for each in sweeps if each.startswith(OTHERS[name])]
+    if name == ALL or name in CHAPTERS:
+        apart = STUDY, *OTHERS.values()
+        of_thesis = [each for each in sweeps if not each.startswith(apart) and "claims" in contents[each]]
+        return [each for each in of_thesis if each.partition("-")[2].startswith(CHAPTERS.get(name, ""))]
+    name = str(contents.get(name, {}).get("alias", name))
+    return [name] if name in sweeps else [each for each in sweeps if _is_part_of(each, name)]
 
 
-def _aliases() -> dict[str, str]:
-    """The sweep that each alias names."""
-    contents = ((name, _content(path)) for name, path in available("sweeps").items())
-    return {name: str(content["alias"]) for name, content in contents if "alias" in content}
+def _contents() -> dict[str, dict[str, Any]]:
+    """The content of all sweeps and aliases by name."""
+    return {name: _content(path) for name, path in available("sweeps").items()}
 
 
 def _content(path: Path) -> dict[str, Any]:

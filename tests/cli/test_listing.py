@@ -46,7 +46,7 @@ def test_a_part_a_config_and_a_sweep_of_one_name(listed):
     assert "alias of fig-4.6" in out
 
 
-@pytest.mark.parametrize("role", by_tier(catalog.roles(), normal=["env", "experiment", "acquisition"]))
+@pytest.mark.parametrize("role", by_tier(catalog.roles(), normal=["acquisition", "experiment"]))
 def test_an_example_stands_with_every_group_and_part_and_is_a_valid_config(listed, role):
     without = {"brax", "gymnasium", "grid", "scattered", "until-target"}  # they need an id, a file, a number
     lines = [line.strip() for line in listed(catalog.roles()[role].plural).splitlines()]

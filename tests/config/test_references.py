@@ -78,10 +78,13 @@ COLUMNS_OF_MERGED = {"run", "runs", "seed", "nans", "point", "label"}
 """Columns of `runs.parquet` that no experiment declares, and the number of runs."""
 
 
+shipped = cache(load_sweep)
+
+
 @cache
 def tables_of(sweep: str, name: str) -> dict[str, set[str]]:
     """The columns of each table of the point of a sweep with a name, which is the first of its variants."""
-    experiment = build(matching(load_sweep(sweep).points, name)[0].config)
+    experiment = build(matching(shipped(sweep).points, name)[0].config)
     return {key: {*column_names(table)} for key, table in experiment.tables.items()}
 
 
@@ -96,7 +99,7 @@ def check_columns(sweep: Sweep) -> None:
                 assert column in known, f"{claim.id}: {column} of {name}"
     for explanation in sweep.report.get("explanations", ()):
         for reference in references(explanation["text"]):
-            other = load_sweep(reference.sweep) if reference.sweep else sweep
+            other = shipped(reference.sweep) if reference.sweep else sweep
             check_reference(reference, other, sweep.name)
             if isinstance(reference, Mean):
                 table = "steps" if reference.step else "episodes" if reference.episodes else "runs"
@@ -132,7 +135,7 @@ def test_columns_and_points_that_cannot_exist_are_found():
 
 
 def test_the_explanations_and_claims_of_shipped_sweeps_refer_to_what_exists():
-    sweeps = [load_sweep(name) for name in available("sweeps")]
+    sweeps = [shipped(name) for name in available("sweeps")]
     explained = [sweep for sweep in sweeps if sweep.claims]
     assert len(explained) > 20
     for sweep in explained:
