@@ -72,7 +72,7 @@ class MountainCar(ControlTask, frozen=True):
     """Drive a weak car up a hill by building momentum (thesis, p. 106; Gym's MountainCar)."""
 
     target: ClassVar[str] = "bojax.envs.mountain_car:MountainCar"
-    observation_names: ClassVar[tuple[str, str]] = ("position", "velocity")
+    observation_names: ClassVar[tuple[str, str]] = ("position (Gym's unit)", "velocity (units a step)")
     kind: Literal["mountain-car"] = "mountain-car"
     goal_position: float = Field(
         default=0.5, gt=-1.2, le=0.6, description="smallest position at the goal; 0.42 in Fig. 5.7"
@@ -91,7 +91,7 @@ class PointMaze(ControlTask, frozen=True):
     """Move a point without inertia to a disc behind walls; not in the thesis."""
 
     target: ClassVar[str] = "bojax.envs.point_maze:PointMaze"
-    observation_names: ClassVar[tuple[str, str]] = ("x", "y")
+    observation_names: ClassVar[tuple[str, str]] = ("x (sides)", "y (sides)")
     kind: Literal["point-maze"] = "point-maze"
     layout: Literal["open", "wall", "maze"] = Field(
         default="wall", description="walls: none, one with a gap at its upper end, or two with gaps in turn"

@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -30,15 +29,15 @@ from bojax.results.store import make_folder, write_content
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
     "#0072B2",
-    "#D55E00",
+    "#C45000",
     "#009E73",
-    "#B8558F",
-    "#3795CF",
+    "#BC5A97",
+    "#3A97D1",
     "#C98A00",
     "#7A4B2A",
     "#6B6B6B",
 )
-"""The palette of Okabe and Ito for all kinds of colour vision, its light colours darkened for text.
+"""The palette of Okabe and Ito, darkened for text; its colours differ under protanopia and deuteranopia, too.
 
 Identifiers without a colour of their own take them in this order.
 """
@@ -65,15 +64,15 @@ COLOURS: Mapping[str, str] = {
 """Colour of each built-in planner and learner, which never share a figure."""
 
 LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5, 1.2)))
-"""Line styles that distinguish the variants of one identifier."""
-
-SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("white", 0.2))
-"""For each variant of an identifier: a colour to mix into the identifier's own, and its share."""
+MARKERS = ("", "o", "s", "^", "D")
+"""Line styles and markers that distinguish the variants of one identifier, which share its colour."""
 
 FIGURES = "figures"  # name of the folder of figures
 WIDTH = 4.7  # width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high
 
 LONGEST = 48  # columns of a name in a figure, so that one fits the width below the panels
+
+LINE_POINTS = 12.5  # distance of two lines of names beside curves
 
 INK, FAINT = "#222222", "#8A8A8A"
 
@@ -197,19 +196,20 @@ def colour(label: str, labels: Sequence[str]) -> str:
 
 
 def look(label: str, labels: Sequence[str], variant: int) -> dict[str, Any]:
-    """Colour and line style of a variant of a label: a shade of the label's colour, and a line style."""
-    ink = mixed(colour(label, labels), *SHADES[variant % len(SHADES)])
-    return {"color": ink, "linestyle": LINES[variant % len(LINES)]}
-
-
-def mixed(ink: str, other: str, share: float) -> str:
-    """A mixture of two colours with this share of the second."""
-    red, green, blue = ((1 - share) * a + share * b for a, b in zip(to_rgb(ink), to_rgb(other), strict=True))
-    return to_hex((red, green, blue)).upper()
+    """Colour of a label, with the line style and the marker of a variant, as options of `Axes.plot`."""
+    row, place = divmod(variant, len(LINES))
+    return {
+        "color": colour(label, labels),
+        "linestyle": LINES[place],
+        "marker": MARKERS[(place + row) % len(MARKERS)],
+        "markersize": 4.5,
+        # In shares of the diagonal, so that curves of any length have about six, at places of their own.
+        "markevery": (0.02 + 0.03 * place, 0.18),
+    }
 
 
 def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
-    """Colour and line style of each point; the first variant of a label has the label's own colour.
+    """Colour, line style and marker of each point; the first variant of a label is a line without markers.
 
     Labels that share a colour, because there are more of them than colours, are distinguished like variants.
     """
@@ -233,7 +233,8 @@ def direct_labels(
     low, high = axes.get_ylim()
     spec = axes.get_subplotspec()
     rows = 1 if spec is None else spec.get_gridspec().nrows
-    gap = 13.0 / (0.8 * figure.get_figheight() / rows * 72) * (high - low)
+    lines = max(name.count("\n") + 1 for name in names)
+    gap = LINE_POINTS * lines / (0.8 * figure.get_figheight() / rows * 72) * (high - low)
     places = spread(heights, gap, low + gap / 2, high - gap / 2)
     span = axes.get_xlim()[1] - axes.get_xlim()[0]
     entries = zip(heights, places, names, colours, strict=True)
@@ -242,7 +243,8 @@ def direct_labels(
             moved: dict[str, Any] = {"linewidth": 0.8, "clip_on": False, "gid": f"curve-{number}-lead"}
             axes.plot([x, x + 0.022 * span], [height, place], color=ink, **moved)
         shifted = offset_copy(axes.transData, fig=figure, x=9, units="points")
-        text = axes.text(x, place, name, color=ink, transform=shifted, va="center", ha="left", fontsize=9.5)
+        options: dict[str, Any] = {"va": "center", "ha": "left", "fontsize": 9.5, "linespacing": 1.0}
+        text = axes.text(x, place, name, color=ink, transform=shifted, **options)
         text.set_gid(f"name-{number}-text")
 
 
@@ -316,13 +318,9 @@ _GREYS: Mapping[str, str] = {
     "#F6F6F4": "#252a31",
     "#4A4A4A": "#9aa3ad",
     BLUE: "#4ba3e3",
-    BROWN: "#b98a62",
-    **{
-        mixed(ink, other, share): mixed(ink, "white", min(0.85, share + 0.15))
-        for ink in PALETTE
-        for other, share in SHADES
-        if other == "black"
-    },
+    ORANGE: "#cd5b24",
+    SKY: "#8ccbf0",
+    BROWN: "#b78853",
 }
 """Replacements of the colours that are too dark or too bright on a dark page."""
 

@@ -1,6 +1,7 @@
 """The drawer of curves: missing data, names and words, whatever the figure."""
 
 from collections import Counter
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
@@ -108,10 +109,25 @@ def test_names_do_not_overlap(rows):
     assert boxes[0].y1 <= boxes[1].y0 and boxes[1].y1 <= boxes[2].y0
 
 
-def test_many_or_long_names_are_listed_below():
-    many = [curve(f"name {index}", [[0, index], [0, index]]) for index in range(10)]
+def test_ten_names_of_two_lines_stand_beside_their_curves():
+    near = [curve(f"kcbts-anywhere-bearing-{at}", [[0, 10 + at / 9]] * 2) for at in range(10)]
+    drawn = drawing(Panel("reward", "mean reward", near))
+    with style.settings():
+        drawn.figure.draw_without_rendering()
+    texts = drawn.figure.axes[0].texts
+    assert [text.get_text() for text in texts] == [f"kcbts-anywhere-\nbearing-{at}" for at in range(10)]
+    boxes = [text.get_window_extent() for text in texts]
+    assert all(below.y1 <= above.y0 for below, above in pairwise(boxes))
+    assert not drawn.figure.legends and drawn.figure.bbox.y1 >= boxes[-1].y1
+
+
+@pytest.mark.parametrize(
+    ("number", "name"), [(11, "name"), (2, "a name that takes three lines of sixteen letters")]
+)
+def test_many_or_long_names_are_listed_below(number, name):
+    many = [curve(f"{name} {index}", [[0, index], [0, index]]) for index in range(number)]
     drawn = drawing(Panel("reward", "mean reward", many))
-    assert len(drawn.figure.legends[0].get_texts()) == 10 and not drawn.figure.axes[0].texts
+    assert len(drawn.figure.legends[0].get_texts()) == number and not drawn.figure.axes[0].texts
 
 
 def ids_of(drawn):

@@ -140,11 +140,6 @@ def test_without_latencies_the_page_does_not_speak_of_them(tmp_path):
     assert "Throughput" in text and "atency" not in text
 
 
-def test_variants_of_a_label_differ_in_colour():
-    colours = [style.look("sbo", ["sbo"], variant)["color"] for variant in range(5)]
-    assert colours[0] == style.COLOURS["sbo"] and len(set(colours)) == 5
-
-
 def test_plates_are_dark_on_a_dark_page(tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
     page = build_report(folder).read_text()

@@ -20,9 +20,9 @@ from bojax.report.source import Point
 from bojax.report.statistics import Band, Floats
 from bojax.report.text import joined, number, percent, ranged
 
-_MAX_DIRECT = 9
-_MAX_NAME = 14
-"""More names, or longer ones, are listed below the figure: beside the curves they would take its width."""
+_MAX_DIRECT = 10
+_MAX_LINES, _MAX_LINE = 2, 16
+"""More names, or names with more lines or longer ones, are listed below the figure, not beside the curves."""
 
 _ROW = 0.2  # height of a row of this list in inches
 
@@ -96,7 +96,11 @@ class Chart:
         self._names = style.drawn_names(self._points)
         self._parts = count()
         self._longest = max(map(len, self._names))
+        self._beside = [style.wrapped(name, _MAX_LINE) for name in self._names]
         height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + _ROW * self._rows_below
+        if not self._rows_below:
+            names = len(self._names) * max(name.count("\n") + 1 for name in self._beside)
+            height = max(height, len(panels) * (0.3 + style.LINE_POINTS * names / (0.8 * 72)))
         self.figure, grid = style.figure(height, len(panels), sharex=not is_swept)
         self.axes = list(grid[:, 0])
         self._lines: dict[Axes, list[Line2D]] = {axes: [] for axes in self.axes}
@@ -185,7 +189,9 @@ class Chart:
     @property
     def _rows_below(self) -> int:
         """Rows of this list; 0 if the names stand beside the curves."""
-        is_listed = len(self._names) > _MAX_DIRECT or self._longest > _MAX_NAME
+        lines = [name.split("\n") for name in self._beside]
+        is_long = any(len(each) > _MAX_LINES or max(map(len, each)) > _MAX_LINE for each in lines)
+        is_listed = is_long or len(self._names) > _MAX_DIRECT
         return math.ceil(len(self._names) / self._columns_below) if is_listed else 0
 
     def _add_names(self) -> None:
@@ -201,21 +207,22 @@ class Chart:
             return
         ends = [float(mean[np.isfinite(mean)][-1]) for _, (mean, _, _), _ in entries]
         last = max(float(curve.x[-1]) for curve, _, _ in entries)
-        style.direct_labels(axes, last, ends, self._names, [look["color"] for _, _, look in entries])
+        style.direct_labels(axes, last, ends, self._beside, [look["color"] for _, _, look in entries])
 
     def _draw_curves(self, axes: Axes, panel: Panel, *, is_swept: bool) -> None:
         for curve, (mean, low, high), look in panel.drawn:
             band = axes.fill_between(curve.x, low, high, color=look["color"], alpha=0.16, linewidth=0)
             dots: dict[str, Any] = {}
             if not is_swept and (unseen := without_line(mean)).any():
-                dots = {"marker": "o", "markersize": 3, "markevery": unseen}
-            lines = axes.plot(curve.x, mean, **look, **dots)
+                dots = {"marker": look["marker"] or "o", "markersize": 3, "markevery": unseen}
+            lines = axes.plot(curve.x, mean, **{**look, **dots})
             self._lines[axes] += lines
             self.mark(curve, band, *lines)
             if is_swept:
                 faces = np.where(curve.is_partial, "white", look["color"])
                 edges = {"facecolors": faces, "edgecolors": look["color"]}
-                self.mark(curve, axes.scatter(curve.x, mean, s=16, zorder=3, **edges))
+                marker = look["marker"] or "o"
+                self.mark(curve, axes.scatter(curve.x, mean, s=16, marker=marker, zorder=3, **edges))
 
 
 def without_line(values: Floats) -> np.ndarray:

@@ -48,8 +48,9 @@ def draw(results: Results) -> Drawing:
             first = points[drawn[0]]
             variants = [name for name in curves if points[names.index(name)].label == first.label]
             look = style.look(first.label, labels, variants.index(curve))
-            handles[curve] = axes.plot(places, best, **look, marker="o", markersize=3.5)[0]
-            axes.plot(places, mean, **look, alpha=0.35)
+            dots = {"marker": look["marker"] or "o", "markersize": 3.5, "markevery": None}
+            handles[curve] = axes.plot(places, best, **{**look, **dots})[0]
+            axes.plot(places, mean, **{**look, "marker": ""}, alpha=0.35)
         ticks = [_short(short_value(points, key, value)) for value in values]
         axes.set_xticks(places, ticks, fontsize=8 if len(values) > 6 else 9.5)
         if sum(map(len, ticks)) > MOST_LETTERS / min(len(keys), 2):

@@ -68,7 +68,12 @@ def draw(results: Results) -> Drawing:
     figure.supylabel(second, fontsize=10.5)
     grid[-1, columns // 2].set_xlabel(first)
     if image is not None:
-        draw_scale(figure, image, grid.flat, aspect=32).set_label("exploration value U")
+        draw_scale(figure, image, grid.flat, aspect=32).set_label(
+            "exploration value U (discounted exploration reward)"
+        )
+    # Exploration rewards of these learners are at most 0, and so is the sum that U predicts.
+    is_beyond = values.max() > 0 and rows[0].point.label.startswith("emu-q")
+    beyond = " Above 0, where U cannot be, the model extrapolates: clips_u of the learner bounds its targets."
     named = joined(f"{row.point.name}, run {row.run}" for row in rows)
     if is_one and len(rows) > 1:
         named = f"{rows[0].point.name}, runs {joined(row.run for row in rows)}"
@@ -80,7 +85,7 @@ def draw(results: Results) -> Drawing:
         caption=f"U at the middle action over {first} and {second}, after single training episodes, on a "
         "common scale: bright where few observations were made. Lines: the trajectory of the episode, from "
         f"the circle to the cross, or to the star if the last step was rewarded. First recorded runs: "
-        f"{named}.",
+        f"{named}.{beyond * bool(is_beyond)}",
         alt=f"Maps of the exploration value over {first} and {second} after {joined(told)}, with the "
         f"trajectories of those episodes: {named}.",
     )
