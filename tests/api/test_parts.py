@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import bojax
 from bojax.config.catalog import kinds, roles
@@ -17,7 +16,6 @@ class Slope(Field):
         return x[0]
 
 
-@pytest.mark.slow
 def test_every_part_is_built_with_its_defaults(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
