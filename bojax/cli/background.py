@@ -130,6 +130,7 @@ def _begin(parent: int) -> None:
     A pool whose process is killed is not told, and would wait for further reports forever. The main process
     may be killed while this one starts.
     """
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):  # Windows has no SIGHUP
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     stop_with_parent(parent)

@@ -39,7 +39,7 @@ COMMANDS = {
 }
 """The module and the summary of each command."""
 
-_ANYWHERE = ("list", "report", "render", "doctor")
+_ANYWHERE = ("list", "report", "render", "doctor", "compare", "export", "survey", "status")
 """Commands that do not lock a results folder."""
 
 _WRITING = ("run", "sweep", "reproduce", "tune")

@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_HANGUP: signal.Signals | None = getattr(signal, "SIGHUP", None)  # Windows lacks it
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *([_HANGUP] if _HANGUP else []))
 """What stops a sweep: Ctrl-C, the system or a scheduler, and a terminal that is closed."""
 
 
@@ -89,7 +90,7 @@ class StopRequest:
 
     def _handle(self, *_: object) -> None:
         for number in self._signals if self._exits else ():
-            signal.signal(number, signal.SIG_IGN if number == signal.SIGHUP else signal.SIG_DFL)
+            signal.signal(number, signal.SIG_IGN if number == _HANGUP else signal.SIG_DFL)
 
     def _watch(self) -> None:
         with self._reader:
@@ -97,7 +98,7 @@ class StopRequest:
                 number = received[0]
                 if number not in self._signals:
                     continue
-                if self.signum is not None and number == signal.SIGHUP:
+                if self.signum is not None and number == _HANGUP:
                     continue
                 if self.signum is not None and self._exits:
                     os._exit(128 + number)

@@ -59,6 +59,9 @@ class ResultsError(Exception):
         self.exit_code = exit_code
 
 
+IS_POSIX = os.name == "posix"
+
+
 @contextmanager
 def explained(path: Path, action: str = "written") -> Iterator[None]:
     """Turn errors of the file system at `path` into a `ResultsError` with advice."""
@@ -100,7 +103,11 @@ def write_atomically(path: Path, write: Callable[[Path], Any], *, durably: bool 
 def sync(*paths: Path) -> None:
     """Sync files and the entries of folders to the disk, so that they survive a power failure."""
     for path in paths:
-        descriptor = os.open(path, os.O_RDONLY)
+        if not IS_POSIX and path.is_dir():  # Windows opens no folders
+            continue
+        descriptor = os.open(
+            path, os.O_RDONLY if IS_POSIX else os.O_RDWR
+        )  # Windows syncs what may be written
         try:
             os.fsync(descriptor)
         except OSError as error:
