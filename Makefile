@@ -5,6 +5,7 @@
 # make check formatting, lints, types, layers
 # make smoke a sweep and a robot with the newest versions of all packages, with PYTHON=python3.13
 # make site  the documentation as a site, in ./site
+# make gallery every figure that bojax can draw, on one page
 # EXTRA=cuda13 (or cuda12) installs JAX for an NVIDIA GPU; PYTHON=python3.12 picks the interpreter.
 PYTHON ?= python3
 EXTRA ?=
@@ -16,7 +17,7 @@ DEV_STAMP := .venv/.bojax-dev
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c $(PINS) -e
 COMPILE := $(BIN)/python -m compileall -q -j 0 -x /tests/ .venv/lib > /dev/null 2>&1 || true
 
-.PHONY: run test slow check smoke site format clean
+.PHONY: run test slow check smoke site gallery format clean
 
 run: $(STAMP)
 	$(BIN)/bojax sweep sweeps/parking.yaml
@@ -38,6 +39,9 @@ smoke:
 
 site: $(DEV_STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+gallery: $(DEV_STAMP)
+	$(BIN)/python pictures/gallery.py results/gallery
 
 format: $(DEV_STAMP)
 	$(BIN)/ruff format .

@@ -7,7 +7,7 @@ Importing this package imports no JAX and changes no global flag. Its functions,
 import importlib
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {
     "run": "start",
