@@ -20,16 +20,18 @@ from bojax.problems.state_space import StateProblem
 _NUM_WALKS, _NUM_STEPS, _NUM_OBSERVATIONS, _NUM_PARTICLES = 8, 3, 256, 1000
 _MOST_DISTINCT = 32
 """A set of observations is taken for finite if `_NUM_OBSERVATIONS` draws have at most so many values."""
+_MOST_RATIO = 1000.0
+"""Largest mean ratio of densities, see `_check_fit`."""
 
 
 def check_model(problem: StateProblem) -> None:
     """Call the methods of a user's problem on random walks, or raise ValueError with one line.
 
     Refused are: wrong shapes and precisions; a discount outside (0, 1]; random actions outside the space;
-    NaN; methods that are not pure; an observation that no particle explains; and a likelihood that is not
-    the logarithm of one. That is so if the probabilities of a finite set of observations do not sum to 1, or
-    if the logarithm is never negative, even far from all observations. Whether a density integrates to 1 is
-    not checked.
+    NaN; methods that are not pure; an observation that no particle explains; a likelihood that does not fit
+    the observations, see `_check_fit`; and a likelihood that is not the logarithm of one. That is so if the
+    probabilities of a finite set of observations do not sum to 1, or if the logarithm is never negative, even
+    far from all observations. Whether a density integrates to 1 is not checked.
 
     Classes of bojax, and problems that JAX is tracing, pass.
     """
@@ -180,6 +182,7 @@ def _check_numbers(problem: StateProblem) -> None:
             "allowed: an observation with noise, or finitely many observations"
         )
     _check_logarithm(sample.observations[used], own, others, sample.far[used])
+    _check_fit(own[:, 0], others)
 
 
 def _check_logarithm(
@@ -204,6 +207,22 @@ def _check_logarithm(
         _refuse(
             "log_likelihood is never negative, even far from all observations; "
             "allowed: the logarithm of the density, not the density"
+        )
+
+
+def _check_fit(own: Float[np.ndarray, "T"], others: Float[np.ndarray, "T T"]) -> None:
+    """Refuse a likelihood under which observations come from other transitions than those that made them.
+
+    For an observation of transition i, the ratio of its density after any transition to that after i has an
+    expectation of at most 1. By Markov's inequality, their mean exceeds 1,000 for one correct problem in
+    1,000 at most.
+    """
+    with np.errstate(invalid="ignore"):
+        ratio = np.logaddexp.reduce(others - own[:, None], axis=None) - np.log(others.size)
+    if ratio > np.log(_MOST_RATIO):
+        _refuse(
+            "log_likelihood does not fit observe: observations are likelier after other steps than after the "
+            "step that made them"
         )
 
 

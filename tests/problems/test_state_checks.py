@@ -64,6 +64,10 @@ class Line(StateProblem):
                 return jnp.log(offset)
             case "no noise":
                 return jnp.where(offset == 0.0, 0.0, -jnp.inf)
+            case "of the state before":
+                return norm.logpdf(offset + next_state[0] - 10.0 * state[0], 0.0, self.noise)
+            case "a smaller noise":
+                return norm.logpdf(offset, 0.0, 0.1 * self.noise)
             case "one value a reading":
                 return norm.logpdf(observation, next_state, self.noise)
         return norm.logpdf(offset, 0.0, self.noise)
@@ -113,6 +117,8 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
         ("density", "log_likelihood is never negative, even far from all observations"),
         ("nan", "log_likelihood is NaN for an observation"),
         ("sketch", "sketch: allowed: a dictionary of vectors, all of 1 number or all of 2"),
+        ("of the state before", "log_likelihood does not fit observe"),
+        ("a smaller noise", "log_likelihood does not fit observe"),
         ("no noise", "log_likelihood: none of 1000 particles explains the first observation"),
     )
     assert_refused((refused(Line(mistake=name)), f"^problem: Line: {message}") for name, message in mistakes)
