@@ -12,6 +12,7 @@ and to the same programs on every machine with such a card.
 import base64
 import contextlib
 import functools
+import hashlib
 import json
 import lzma
 import os
@@ -87,9 +88,11 @@ def archive_of(device: Device) -> Path:
 def shipped(device: Device) -> Choices:
     """The choices that come with bojax for the card of a device; empty if there are none."""
     try:
-        return json.loads(lzma.decompress(archive_of(device).read_bytes()))
+        content = lzma.decompress(archive_of(device).read_bytes())
     except FileNotFoundError:
         return {}
+    texts: Mapping[str, str] = json.loads(content)
+    return {name: base64.b64encode(text.encode("latin-1")).decode() for name, text in texts.items()}
 
 
 def measured() -> Choices:
@@ -106,8 +109,15 @@ def offer_shipped(device: Device) -> None:
 
 @functools.cache
 def _offer(device: Device, folder: Path) -> None:
-    """Once in a process, which keeps the choices that it has read."""
-    write(folder, shipped(device), replaces=True)
+    """Write the files unless an earlier process has done so."""
+    archive = archive_of(device)
+    if not archive.exists():
+        return
+    written = folder / f".{archive.name}-{hashlib.sha256(archive.read_bytes()).hexdigest()[:16]}"
+    if not written.exists():
+        write(folder, shipped(device), replaces=True)
+        with contextlib.suppress(OSError):
+            written.touch()
 
 
 def pack(device: Device) -> Path:
@@ -116,10 +126,11 @@ def pack(device: Device) -> Path:
     Choices of the archive that the folder lacks are kept.
     """
     path, choices = archive_of(device), {**shipped(device), **read_all()}
+    # As text, the names inside of the files are those of the index, which halves the archive.
+    texts = {name: base64.b64decode(content).decode("latin-1") for name, content in choices.items()}
     path.parent.mkdir(exist_ok=True)
-    path.write_bytes(
-        lzma.compress(json.dumps(choices, sort_keys=True).encode(), preset=9 | lzma.PRESET_EXTREME)
-    )
+    content = json.dumps(texts, sort_keys=True).encode()
+    path.write_bytes(lzma.compress(content, preset=9 | lzma.PRESET_EXTREME))
     print(f"{path}: {len(choices)} choices, {path.stat().st_size:,} bytes")
     return path
 
