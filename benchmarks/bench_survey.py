@@ -1,7 +1,6 @@
-"""Errors of maps along routes of equal length: bojax beside others, on real and synthetic fields.
+"""CPU seconds of the route that `bojax survey` proposes, and of the plan of a mission, after compilation.
 
-The others are the best lawnmower, SGP-Tools, a myopic and a random route. Three of six real fields need the
-package iris-sample-data, and the extra geo.
+How good routes are is the league's question: `bojax reproduce surveys`.
 """
 
 import argparse
@@ -13,24 +12,21 @@ from isolated import run_isolated
 from options import make_parser, positive
 
 EXAMPLES = """\
-  python benchmarks/bench_survey.py                     10 starts, routes of length 20 and 40
-  python benchmarks/bench_survey.py --starts 3 --budgets 20
+  python benchmarks/bench_survey.py                     5 starts, routes of length 20 and 40
+  python benchmarks/bench_survey.py --starts 3 --device cpu
 """
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark."""
     args = parse(argv)
-    return run_isolated(Path(__file__).with_name("survey_errors.py"), argv, args.device, args.cores)
+    return run_isolated(Path(__file__).with_name("survey_timings.py"), argv, args.device, args.cores)
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
-    parser.add_argument("--starts", type=positive, default=10, help="number of starts, at most 20 (10)")
-    parser.add_argument(
-        "--budgets", type=int, nargs="+", choices=(20, 40), default=[20, 40], help="lengths (20 40)"
-    )
+    parser.add_argument("--starts", type=positive, default=5, help="number of starts, at most 19 (5)")
     return parser.parse_args(argv)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, add_running, check_launching, dry_run
+from bojax.cli.league import ID
 from bojax.cli.parser import Parser, UsageError, at_least, path
 from bojax.cli.running import run
 from bojax.config.errors import ConfigError
@@ -24,7 +25,8 @@ page for each chapter. The number of the thesis, the number found here and the v
 
 ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
 chapter5, or all: every sweep with claims of the thesis. pomdp is a group of its own: published returns of
-POMDP solvers. Studies are run by name.
+POMDP solvers. Studies are run by name. surveys is no sweep: it is the league of routes of surveys, whose
+runs are starts, at most 20; it is run in one process, one start after the other.
 
 --page runs nothing: it makes the page from results of several commands, of whatever age and machine. DIR is a
 results folder, or a folder above some. The newest results of each sweep count, and are judged by the claims
@@ -37,6 +39,7 @@ _EXAMPLES = """\
   bojax reproduce all --out results/thesis              the whole thesis
   bojax reproduce all --out results/thesis --resume     go on after an interruption
   bojax reproduce --multiverse 4.4                      do the claims of a group depend on open choices?
+  bojax reproduce surveys --runs 8                      the league of surveys, from eight starts
   bojax reproduce --page results/thesis results/fig-4.6 --out page.md
                                                         one page from results of several commands
 """
@@ -60,6 +63,15 @@ def main(name: str, words: Sequence[str]) -> int:
         return run_multiverse(name, args, words)
     if args.configurations is not None:
         parser.error("--configurations: needs --multiverse")
+    if ID in args.ids:
+        for option, value in vars(args).items():
+            if option not in ("ids", "runs", "out", "resume") and value != parser.get_default(option):
+                parser.error(f"--{option.replace('_', '-')}: not allowed with {ID}")
+        if len(args.ids) > 1:
+            parser.error(f"{ID}: not allowed with other IDs: it is no sweep")
+        from bojax.cli.league import main as run_league
+
+        return run_league(name, args, words)
     if not args.ids:
         parser.error("the following arguments are required: ID")
     if args.count_in:

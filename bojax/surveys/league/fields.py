@@ -19,14 +19,18 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
 
 from bojax.surveys.area import Area
+from bojax.surveys.model import FieldModel
 from bojax.surveys.place import area_of_cells
 
 SIDE = 10.0
 VARIANCE, LENGTHSCALE, NOISE_VARIANCE = 0.807, 1.160, 0.0089
 """Of the one process that scores all maps: fitted to 200 heights beside the window of the elevation."""
 
+MODEL = FieldModel(LENGTHSCALE, VARIANCE**0.5, NOISE_VARIANCE**0.5, "the league's")
+"""This process; all planners know it."""
+
 SQUARE = Area.rectangle(0.0, 0.0, SIDE, SIDE)
-"""The area of every field without holes: they share their routes, which do not depend on values."""
+"""The area of every field without holes."""
 
 SAMPLE = "iris_sample_data"
 WALLS = ((2.0, 0.0, 2.4, 7.0), (4.6, 3.0, 5.0, 10.0), (7.2, 0.0, 7.6, 4.0), (7.2, 5.5, 7.6, 10.0))
@@ -41,11 +45,23 @@ class Field:
         name: Its name.
         area: Where it has data.
         value: Values at points `[N, 2]`.
+        is_real: Whether it was measured.
     """
 
     name: str
     area: Area
     value: Callable[[np.ndarray], np.ndarray]
+    is_real: bool = False
+
+    @property
+    def place(self) -> str:
+        """Name of the area: fields with equal names share their routes, which do not depend on values."""
+        return "square" if self.area is SQUARE else self.name
+
+
+def has_sample() -> bool:
+    """Whether the package of three of the real fields is installed."""
+    return importlib.util.find_spec(SAMPLE) is not None
 
 
 def league() -> list[Field]:
@@ -57,7 +73,7 @@ def league() -> list[Field]:
         _real("bathymetry", sea[:30, :30]),
         _real("coast", np.where(sea[15:45, 75:105] < 0.0, sea[15:45, 75:105], np.nan)),
     ]
-    if importlib.util.find_spec(SAMPLE):
+    if has_sample():
         clouds, surface = _sampled("toa_brightness_stereographic.nc"), _sampled("ostia_monthly.nc")
         fields += [
             _real("clouds", clouds[30:90, 150:210]),
@@ -97,13 +113,15 @@ def _real(name: str, values: np.ndarray) -> Field:
     nearest: Any = distance_transform_edt(is_hole, return_distances=False, return_indices=True)
     x, y = (np.linspace(0.0, SIDE, size) for size in values.shape[::-1])
     area = area_of_cells(x, y, ~is_hole) if is_hole.any() else SQUARE
-    return _standardised(name, area, _interpolated(values[tuple(nearest)]))
+    return _standardised(name, area, _interpolated(values[tuple(nearest)]), is_real=True)
 
 
-def _standardised(name: str, area: Area, value: Callable[[np.ndarray], np.ndarray]) -> Field:
+def _standardised(
+    name: str, area: Area, value: Callable[[np.ndarray], np.ndarray], is_real: bool = False
+) -> Field:
     values = value(area.grid(0.1))
     mean, deviation = values.mean(), values.std()
-    return Field(name, area, lambda points: (value(points) - mean) / deviation)
+    return Field(name, area, lambda points: (value(points) - mean) / deviation, is_real)
 
 
 def _interpolated(values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,0 +1,75 @@
+"""`bojax reproduce surveys`: the league of surveys, one piece after the other."""
+
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from bojax.cli.parser import UsageError
+from bojax.results.folder import ROOT, require_empty
+
+ID = "surveys"
+"""What `bojax reproduce` calls the league."""
+
+FOLDER = ROOT / ID
+"""Folder of leagues without `--out`, each named after the time of its start."""
+
+
+def main(name: str, args: Namespace, words: Sequence[str]) -> int:
+    """Run the pieces that are not there yet, and return the exit code."""
+    if args.resume and not args.out:
+        raise UsageError("--resume: needs --out, the folder of the league")
+    out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
+    if not args.resume:
+        require_empty(out, "give another --out, or --resume a league")
+    command = " ".join(["bojax", name, *words])
+    if code := _run(out, args.runs, command):
+        return code
+    print(out)
+    return 0
+
+
+def _run(out: Path, starts: int | None, command: str) -> int:
+    """Run what is left of a league, and return the exit code."""
+    from bojax.engine.devices import prepare
+    from bojax.engine.provenance import git_revision, versions
+    from bojax.engine.signals import StopRequest
+    from bojax.report.league.results import CELLS, LEAGUE
+    from bojax.results.folder import check_plan
+    from bojax.results.store import make_folder, read_json, write_json
+
+    with StopRequest(announce=lambda _: _say("stopping after this piece")) as stop:
+        prepare("auto")
+        from bojax.surveys.league.cells import cells_of, describe, run_cell
+        from bojax.surveys.league.fields import SAMPLE, has_sample, league
+        from bojax.surveys.league.routes import peers
+
+        most = len(peers()["starts"])
+        starts = most if starts is None else starts
+        if not 1 <= starts <= most:
+            raise UsageError(f"--runs: got {starts}; allowed: 1 to {most}, the starts that are stored")
+        fields = league()
+        if not has_sample():
+            package = SAMPLE.replace("_", "-")
+            _say(f"note: three fields are left out; to have them: pip install {package}")
+        about = describe(fields, starts)
+        if (out / LEAGUE).exists():  # more starts may be added
+            old = read_json(out / LEAGUE)
+            check_plan(out, {**old, "provenance": None, "starts": starts}, {**about, "provenance": None})
+        make_folder(out / CELLS)
+        made = {"command": command, "revision": git_revision(), "versions": versions()}
+        write_json(out / LEAGUE, {**about, "provenance": made})
+        cells = [cell for cell in cells_of(fields, starts) if not (out / CELLS / cell.name).exists()]
+        for number, cell in enumerate(cells):
+            if stop:
+                _say(f"{len(cells) - number} pieces are left: --resume --out {out}")
+                return stop.exit_code
+            begin = time.monotonic()
+            run_cell(cell, out / CELLS)
+            _say(f"{number + 1} of {len(cells)}: {cell.name}, {time.monotonic() - begin:.0f} s")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,1 @@
+"""The page of the league of surveys: tables, figures, and a verdict for each aim."""

@@ -1,0 +1,102 @@
+"""Routes of every method of the league from one start.
+
+The starts are stored in `peers.json`. For the empty square it also has the routes of SGP-Tools 2.0.7 (its
+ContinuousSGP) and of a lawnmower that begins at the nearest corner, with the date on which they were made.
+"""
+
+import json
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from bojax.surveys.area import Area
+from bojax.surveys.information import PointErrors
+from bojax.surveys.lawnmower import Ground
+from bojax.surveys.league.fields import LENGTHSCALE, MODEL, NOISE_VARIANCE, SQUARE, VARIANCE, Field
+from bojax.surveys.league.rivals import myopic_route, random_route
+from bojax.surveys.mission import Mission
+from bojax.surveys.planning import Demand, plan_survey
+from bojax.surveys.polylines import Waypoints, length_of, points_along
+from bojax.surveys.route import fitted, spread_points
+from bojax.surveys.shapes import to_area
+
+SPACING, NOISE = 0.2, 0.05
+"""Distance between two measurements, and the standard deviation of their noise."""
+
+GRID = 0.25
+"""Spacing of the points at which maps are scored."""
+
+LEG = 5.0
+"""Distance that an adaptive route drives before it is planned anew."""
+
+STORED = {"lawnmower from a corner": "lawnmower", "SGP-Tools": "sgptools"}
+"""Methods with stored routes, and the beginnings of their keys in `peers.json`."""
+
+
+@cache
+def peers() -> dict[str, Any]:
+    """The starts, and the stored routes by method and length."""
+    return json.loads(Path(__file__).with_name("peers.json").read_text())
+
+
+def surveyed(area: Area) -> Area:
+    """The part of an area that is surveyed: the largest."""
+    return to_area(Ground.of(area).shape)
+
+
+def start_of(part: Area, index: int) -> Waypoints:
+    """A start `[2]`: the stored one, or the nearest point of the area."""
+    stored = np.asarray(peers()["starts"][index][:2])
+    if part.contains(stored[None])[0]:
+        return stored
+    points = part.grid(GRID)
+    return points[cdist([stored], points).argmin()]
+
+
+def map_routes(area: Area, length: float, index: int) -> tuple[dict[str, Waypoints], float]:
+    """The routes of all methods that do not depend on values, and the CPU seconds of `bojax survey`."""
+    part = surveyed(area)
+    start = start_of(part, index)
+    begin = time.process_time()
+    survey = plan_survey(part, MODEL, Demand(length, start, sampling=SPACING))
+    seconds = time.process_time() - begin
+    errors = PointErrors.of(MODEL.belief(), jnp.asarray(spread_points(part, 400)))
+    routes = {
+        "bojax": survey.chosen.routes[0],
+        "lawnmower": survey.lawnmower.routes[0],
+        "myopic": myopic_route(part, errors, length, start, SPACING),
+        "random": random_route(part, length, start, index),
+    }
+    if area is SQUARE:
+        stored = peers()
+        routes |= {name: np.asarray(stored[f"{key}-{length:g}"][index]) for name, key in STORED.items()}
+    return routes, seconds
+
+
+def adaptive_route(field: Field, length: float, index: int, goal: str) -> Waypoints:
+    """The route of a `Mission` with a goal, which is planned anew every `LEG` from what it has measured."""
+    part = surveyed(field.area)
+    start = start_of(part, index)
+    mission = Mission(part, length, start, spacing=SPACING, goal=goal)
+    mission.hyperparameters = LENGTHSCALE, VARIANCE, NOISE_VARIANCE
+    noise, route = noises(length, index), start[None]
+    while (driven := length_of(route)) < length - 0.5 * SPACING:
+        ahead = np.concatenate([route[-1:], mission.plan()])
+        leg = fitted(ahead, min(LEG, length - driven), None, None)
+        points = points_along(leg, SPACING * np.arange(1, round(length_of(leg) / SPACING + 1e-9) + 1))
+        if not len(points):
+            break
+        taken = mission.num_measurements
+        mission.observe(points, field.value(points) + noise[taken : taken + len(points)], leg[-1])
+        route = np.concatenate([route, leg[1:]])
+    return route
+
+
+def noises(length: float, index: int) -> np.ndarray:
+    """Noise of the measurements along a route, the same for all methods."""
+    return NOISE * np.random.default_rng(index).standard_normal(round(length / SPACING))
