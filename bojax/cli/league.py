@@ -1,4 +1,4 @@
-"""`bojax reproduce surveys`: the league of surveys, one piece after the other."""
+"""`bojax reproduce surveys`: the league of surveys, one piece after the other, and its page."""
 
 import sys
 import time
@@ -17,7 +17,7 @@ FOLDER = ROOT / ID
 
 
 def main(name: str, args: Namespace, words: Sequence[str]) -> int:
-    """Run the pieces that are not there yet, and return the exit code."""
+    """Run the pieces that are not there yet, write the page, and return the exit code."""
     if args.resume and not args.out:
         raise UsageError("--resume: needs --out, the folder of the league")
     out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
@@ -26,7 +26,9 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     command = " ".join(["bojax", name, *words])
     if code := _run(out, args.runs, command):
         return code
-    print(out)
+    from bojax.report.league.page import write_pages
+
+    print(*write_pages(out), sep="\n")
     return 0
 
 

@@ -27,6 +27,7 @@ class Aim:
     """An aim: the errors of a method are at most a multiple of those of each rival.
 
     Attributes:
+        short: Its name in tables.
         title: The aim in words.
         prediction: What was expected.
         measure: Column of errors.
@@ -36,6 +37,7 @@ class Aim:
         by: What is compared one by one: `length`, `field`, or nothing.
     """
 
+    short: str
     title: str
     prediction: str
     measure: str
@@ -61,44 +63,52 @@ class Comparison:
 class Judged:
     """An aim with its verdict, and the comparisons behind it."""
 
+    short: str
     title: str
     prediction: str
     found: str
     verdict: str
+    bound: float
     comparisons: Sequence[Comparison] = ()
 
 
 AIMS = (
     Aim(
+        "deviation",
         "In the empty square, the mean deviation that the process expects is below that of the lawnmowers "
         "and of SGP-Tools, at each length.",
         "reached: 3 to 10% below in the earlier league",
         "deviation", "bojax", 1.0, "square", "length",
     ),
     Aim(
+        "RMSE",
         "In the empty square, the RMSE over all fields and lengths is below that of the lawnmowers and of "
         "SGP-Tools.",
         "not reached: level with the lawnmowers and 1 to 2% below SGP-Tools in the earlier league",
         "rmse", "bojax", 1.0, "square",
     ),
     Aim(
+        "RMSE of a field",
         "In the empty square, the RMSE on no field is above that of one of them by more than 3%.",
         "not reached: clouds were 10% and more above in the earlier league",
         "rmse", "bojax", 1.03, "square", "field",
     ),
     Aim(
+        "RMSE, odd fields",
         "With holes, with walls or on a field that is not stationary, the RMSE is at least 10% below "
         "theirs.",
         "not reached: some 3% below the lawnmower in the earlier league",
         "rmse", "bojax", 0.9, ODD,
     ),
     Aim(
+        "hot spots",
         "Hot spots: the regret of the best place found by `bojax.Mission` is at least 20% below theirs, at "
         "each length.",
         "reached at both lengths: legs after the first return to where the map is high",
         "regret", "bojax, hotspots", 0.8, "all", "length",
     ),
     Aim(
+        "threshold",
         "Threshold: the share of the area that the map of `bojax.Mission` puts on the wrong side is at least "
         "20% below theirs, at each length.",
         "reached at length 40, 25% below; not at 20, 5 to 10% below, since most of the square is not seen",
@@ -139,7 +149,7 @@ def _judge(league: League, aim: Aim) -> Judged:
     )  # fmt: skip
     count = f"{verdicts.count(REACHED)} of {len(found)} comparisons within the bound"
     count += f", {verdicts.count(MISSED)} beyond it"
-    return Judged(aim.title, aim.prediction, count, verdict, found)
+    return Judged(aim.short, aim.title, aim.prediction, count, verdict, aim.bound, found)
 
 
 def _judge_time(league: League) -> Judged:
@@ -147,10 +157,11 @@ def _judge_time(league: League) -> Judged:
     title = f"A route of length {longest} takes at most {MOST_SECONDS:g} s on one core after compilation."
     prediction = "reached: 3 s before the lawnmowers' lines stopped before the border"
     if not (seconds := league.seconds.get(longest)):
-        return Judged(title, prediction, "", UNTESTED)
+        return Judged("time", title, prediction, "", UNTESTED, MOST_SECONDS)
     median = float(np.median(seconds))
     found = f"median of {median:.1f} CPU s, the comparison with lawnmowers included"
-    return Judged(title, prediction, found, REACHED if median <= MOST_SECONDS else MISSED)
+    verdict = REACHED if median <= MOST_SECONDS else MISSED
+    return Judged("time", title, prediction, found, verdict, MOST_SECONDS)
 
 
 def _verdict(ratio: Interval, bound: float) -> str:

@@ -88,12 +88,12 @@ def adaptive_route(field: Field, length: float, index: int, goal: str) -> Waypoi
     while (driven := length_of(route)) < length - 0.5 * SPACING:
         ahead = np.concatenate([route[-1:], mission.plan()])
         leg = fitted(ahead, min(LEG, length - driven), None, None)
-        points = points_along(leg, SPACING * np.arange(1, round(length_of(leg) / SPACING + 1e-9) + 1))
-        if not len(points):
+        if length_of(leg) == 0.0:
             break
-        taken = mission.num_measurements
-        mission.observe(points, field.value(points) + noise[taken : taken + len(points)], leg[-1])
-        route = np.concatenate([route, leg[1:]])
+        route, taken = np.concatenate([route, leg[1:]]), mission.num_measurements
+        reached = int(length_of(route) / SPACING * (1.0 + 1e-9))
+        points = points_along(route, SPACING * np.arange(taken + 1, reached + 1))
+        mission.observe(points, field.value(points) + noise[taken:reached], route[-1])
     return route
 
 
