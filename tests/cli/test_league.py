@@ -1,0 +1,69 @@
+"""`bojax reproduce surveys`: pieces are kept, resumed, and never mixed with those of other settings."""
+
+import json
+
+import pytest
+
+pytest.importorskip("shapely")
+
+from bojax.cli.main import main  # noqa: E402
+from bojax.surveys.league import cells  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Pieces with made-up errors, and a list of those that were computed."""
+    computed = []
+
+    def result(cell):
+        computed.append(cell.name)
+        methods = ("bojax", "lawnmower") if cell.goal == "map" else (f"bojax, {cell.goal}",)
+        errors = dict.fromkeys(("rmse", "deviation", "regret", "missed", "f1"), 1.0)
+        return {
+            "length": cell.length,
+            "start": cell.start,
+            "seconds": 1.0,
+            "routes": {method: [[0.0, 0.0], [1.0, 1.0]] for method in methods},
+            "scores": {field.name: dict.fromkeys(methods, errors) for field in cell.fields},
+        }
+
+    monkeypatch.setattr(cells.Cell, "result", result)
+    return computed
+
+
+def test_only_missing_pieces_are_computed(quick, tmp_path, capsys):
+    out = tmp_path / "league"
+    assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out)]) == 0
+    assert capsys.readouterr().out.splitlines() == [str(out / "league.html"), str(out / "league.md")]
+    first = list(quick)
+    (out / "cells" / first[3]).unlink()
+    quick.clear()
+    assert main(["reproduce", "surveys", "--runs", "2", "--out", str(out), "--resume"]) == 0
+    assert quick[0] == first[3] and len(quick) == 1 + len(first)
+    assert {name[-7:] for name in quick[1:]} == {"01.json"}
+
+
+def test_pieces_of_other_choices_are_not_mixed(quick, tmp_path, capsys):
+    out = tmp_path / "league"
+    assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out)]) == 0
+    about = json.loads((out / "league.json").read_text())
+    (out / "league.json").write_text(json.dumps({**about, "leg": 2.5}))
+    assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out), "--resume"]) == 2
+    assert "leg: 2.5 -> 5.0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        (["surveys", "fig-4.6"], "surveys: not allowed with other IDs"),
+        (["surveys", "--seed", "3"], "--seed: not allowed with surveys"),
+        (["surveys", "--launcher", "ray"], "--launcher: not allowed with surveys"),
+        (["surveys", "--runs", "21"], "--runs: got 21; allowed: 1 to 20"),
+        (["surveys", "--resume"], "--resume: needs --out"),
+    ],
+)
+def test_mistakes_are_one_line(words, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce", *words]) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
