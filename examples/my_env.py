@@ -37,10 +37,6 @@ class Puck(Env):
         position = jax.random.uniform(key, (), self.push.dtype, -1.0, 0.0)
         return jnp.stack([position, jnp.zeros_like(position)])
 
-    def observe(self, state: Float[Array, "2"]) -> Float[Array, "2"]:
-        """The whole state."""
-        return state
-
     def step(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> tuple[Float[Array, "2"], TimeStep]:

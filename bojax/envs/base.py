@@ -76,9 +76,9 @@ class Env(eqx.Module):
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """An initial state."""
 
-    @abc.abstractmethod
     def observe(self, state: EnvState) -> Observation:
-        """The observation of a state."""
+        """The observation of a state; by default the state itself."""
+        return state
 
     def frame(self, state: EnvState) -> Float[Array, "Q"] | None:
         """Numbers of a state that an animation needs besides observations; recorded with the steps."""

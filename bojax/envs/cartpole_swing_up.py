@@ -60,10 +60,6 @@ class CartpoleSwingUp(ControlTask):
         return state.at[2].add(jnp.pi)
 
     @override
-    def observe(self, state: Float[Array, "4"]) -> Float[Array, "4"]:
-        return state
-
-    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
     ) -> Float[Array, "4"]:

@@ -55,10 +55,6 @@ class MountainCar(ControlTask):
         return jnp.stack([position, jnp.zeros_like(position)])
 
     @override
-    def observe(self, state: Float[Array, "2"]) -> Float[Array, "2"]:
-        return state
-
-    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:

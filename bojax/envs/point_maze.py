@@ -60,10 +60,6 @@ class PointMaze(ControlTask):
         return jax.random.uniform(key, (2,), self.move.dtype, 0.05, 0.15)
 
     @override
-    def observe(self, state: Float[Array, "2"]) -> Float[Array, "2"]:
-        return state
-
-    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "2"]
     ) -> Float[Array, "2"]:

@@ -46,10 +46,6 @@ class TabularEnv(Env):
         """The time step that a branch leads to."""
 
     @override
-    def observe(self, state: Int[Array, ""]) -> Int[Array, ""]:
-        return state
-
-    @override
     def step(
         self, key: Key[Array, ""], state: Int[Array, ""], action: Int[Array, ""]
     ) -> tuple[Int[Array, ""], TimeStep]:

@@ -101,7 +101,6 @@ class Learner(eqx.Module):
     ) -> tuple[Action, Float[Array, ""]]:
         """The action to take, and the return Q that the learner expects of it."""
 
-    @abc.abstractmethod
     def observe(
         self,
         key: Key[Array, ""],
@@ -110,10 +109,11 @@ class Learner(eqx.Module):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> LearnerState:
-        """Learn from one transition.
+        """Learn from one transition; by default nothing is learned.
 
         `step_in_block` is the number of steps since the last `flush`, the same in every lane of a batch.
         """
+        return state
 
     def flush(self, state: LearnerState) -> LearnerState:
         """Apply delayed updates; called after every `block` steps and at the end of an episode."""

@@ -3,12 +3,12 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
-from bojax.learning.base import ExplorationState, Learner, Transition
+from bojax.learning.base import ExplorationState, Learner
 
 
 class RandomActions(Learner):
@@ -43,17 +43,6 @@ class RandomActions(Learner):
         if isinstance(state, Discrete):
             return jax.random.randint(key, (), 0, state.num, jnp.int32), zero
         return state.from_unit(jax.random.uniform(key, state.low.shape, state.low.dtype)), zero
-
-    @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Space,
-        transition: Transition,
-        exploration: ExplorationState,
-        step_in_block: Int[Array, ""],
-    ) -> Space:
-        return state
 
     @override
     def values(

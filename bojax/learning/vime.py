@@ -13,7 +13,7 @@ from typing_extensions import override
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Discrete, Space
 from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
-from bojax.learning.base import Episode, ExplorationState, Learner, Transition
+from bojax.learning.base import Episode, ExplorationState, Learner
 from bojax.learning.episode_batch import EpisodeBatch
 from bojax.learning.inputs import as_inputs, input_size
 from bojax.learning.memory import emptied
@@ -165,18 +165,6 @@ class VIME(Learner):
         if isinstance(space := state.actions, Box):
             action = space.from_unit(0.5 * (action + 1.0))
         return action, self.values(state, observation, action)[0]
-
-    @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: VIMEState,
-        transition: Transition,
-        exploration: ExplorationState,
-        step_in_block: Int[Array, ""],
-    ) -> VIMEState:
-        """No change: VIME learns from whole episodes."""
-        return state
 
     @override
     def end_episode(

@@ -70,8 +70,7 @@ def resumes(out: Path, expected: Path, **settings) -> None:
 
 @pytest.mark.bits
 @pytest.mark.parametrize(
-    "number",
-    by_tier([signal.SIGKILL, signal.SIGINT, signal.SIGTERM], normal=[signal.SIGKILL, signal.SIGTERM]),
+    "number", by_tier([signal.SIGKILL, signal.SIGINT, signal.SIGTERM], normal=[signal.SIGKILL])
 )
 def test_stopped_and_resumed(tmp_path, undisturbed, number):
     out = tmp_path / "toy"

@@ -19,6 +19,7 @@ from bojax.engine.sinks import FolderSink
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import ResultsError
 from tests.examples.pages import ROOT, blocks
+from tests.tiers import by_tier
 
 CARRY = [jnp.arange(600.0), jnp.full((7, 3), -1, jnp.int32), jax.random.split(jax.random.key(5), 4)]
 STRUCTURE = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in CARRY]
@@ -100,7 +101,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.02])
+@pytest.mark.parametrize("seconds", by_tier([0.0, 0.02], normal=[0.02]))
 def test_killed_during_a_save(tmp_path, seconds):
     command = [sys.executable, "-c", KILLED, str(tmp_path), str(seconds)]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
