@@ -9,6 +9,7 @@ the page, `index.html`, at the width of a desktop and of a phone, and in dark mo
 import argparse
 import base64
 import html
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -78,7 +79,7 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width"><title>Figures of bojax</title><style>
 body{{font-family:system-ui,sans-serif;margin:1rem;color-scheme:light dark}}
 main{{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(21rem,100%),1fr));gap:1.5rem}}
-figure{{margin:0}}img{{width:100%}}figcaption{{font-size:.85rem}}
+figure{{margin:0}}img{{width:100%}}figcaption{{font-size:.85rem}}h2{{font-size:1rem}}
 </style><h1>Figures of bojax</h1><main>{}</main></html>"""
 
 
@@ -130,9 +131,9 @@ def _of_commands(folder: Path) -> Iterator[str]:
         if not out.exists():
             extra = ["--budget", "64", "--batch", "4", "--confirm", "4"] if name == "tune" else []
             subprocess.run([sys.executable, "-m", "bojax", *words, *extra, "--out", str(out)], check=True)
-        for path in sorted(out.rglob("*.svg")):
-            if "rounds" not in path.parts and not any("confirm" in part for part in path.parts):
-                yield _shown(f"{name}: {path.stem}", path.read_bytes(), "")
+        page = next(out.glob("*.html")).read_text()
+        for number, svg in enumerate(re.findall('data:image/svg.xml;base64,([^"]+)', page), 1):
+            yield _shown(f"{number} ({name})", base64.b64decode(svg), "")
 
 
 def _of_models() -> Iterator[str]:

@@ -211,9 +211,16 @@ def look(label: str, labels: Sequence[str], variant: int) -> dict[str, Any]:
 def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
     """Colour, line style and marker of each point; the first variant of a label is a line without markers.
 
-    Labels that share a colour, because there are more of them than colours, are distinguished like variants.
+    Variants of a label share its colour, unless there is no other label: then each has a colour of its own,
+    as far as the palette reaches. Labels that share a colour, because there are more of them than colours,
+    are distinguished like variants.
     """
     labels = [point.label for point in points]
+    if len(set(labels)) == 1:
+        first = colour(labels[0], labels)
+        inks = [first, *(ink for ink in PALETTE if ink != first)]
+        found = [look(labels[0], labels, number) for number in range(len(labels))]
+        return [each | {"color": inks[number % len(inks)]} for number, each in enumerate(found)]
     inks = [colour(label, labels) for label in labels]
     return [
         look(label, labels, inks[:position].count(ink))

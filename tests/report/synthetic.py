@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+import bojax
 from bojax.experiments.settings import Learning, Planning
 from bojax.report.columns import Columns
 from bojax.report.manifest import ClaimEntry, Manifest
@@ -109,7 +110,7 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
         "points": points,
         "report": {"notes": "Left open: <what> & why."} if report is None else report,
         "claims": CLAIMS,
-        "versions": {"python": "3.11.2", "bojax": "0.1.0", "jax": "0.10.2", "numpy": "2.4.6"},
+        "versions": {"python": "3.11.2", "bojax": bojax.__version__, "jax": "0.10.2", "numpy": "2.4.6"},
         "git": {"revision": "97d835b", "has_changes": True},
         "device": {"platform": "cpu", "kind": "cpu", "count": 2, "driver": None},
         "precision": {"x64": True, "dtypes": ["float64"] * len(points)},

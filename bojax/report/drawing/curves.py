@@ -210,8 +210,9 @@ class Chart:
         style.direct_labels(axes, last, ends, self._beside, [look["color"] for _, _, look in entries])
 
     def _draw_curves(self, axes: Axes, panel: Panel, *, is_swept: bool) -> None:
+        opacity = min(0.16, 0.5 / len(panel.drawn))  # many bands on top of each other would hide the curves
         for curve, (mean, low, high), look in panel.drawn:
-            band = axes.fill_between(curve.x, low, high, color=look["color"], alpha=0.16, linewidth=0)
+            band = axes.fill_between(curve.x, low, high, color=look["color"], alpha=opacity, linewidth=0)
             dots: dict[str, Any] = {}
             if not is_swept and (unseen := without_line(mean)).any():
                 dots = {"marker": look["marker"] or "o", "markersize": 3, "markevery": unseen}

@@ -53,7 +53,7 @@ def draw(results: Results) -> Drawing:
             axes.plot(places, mean, **{**look, "marker": ""}, alpha=0.35)
         ticks = [_short(short_value(points, key, value)) for value in values]
         axes.set_xticks(places, ticks, fontsize=8 if len(values) > 6 else 9.5)
-        if sum(map(len, ticks)) > MOST_LETTERS / min(len(keys), 2):
+        if max(map(len, ticks)) * len(ticks) > MOST_LETTERS / min(len(keys), 2):
             axes.tick_params(axis="x", labelrotation=35)
             for tick in axes.get_xticklabels():
                 tick.set(ha="right", rotation_mode="anchor")
