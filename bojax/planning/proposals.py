@@ -62,7 +62,7 @@ class VoronoiProposal(Proposal):
 
     Attributes:
         probability: Probability of a random action.
-        variance: Variance of the Gaussian, for each parameter.
+        variance: Variance of the Gaussian, for each parameter, or one number for all.
         radius: Distance within which a candidate is accepted at once.
         max_candidates: Number of candidates.
     """
@@ -81,6 +81,11 @@ class VoronoiProposal(Proposal):
         node: Int[Array, ""],
         totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
+        if (num := self.variance.shape[0]) not in (1, space.size):
+            raise ValueError(
+                f"planner.proposal.variance: got {num} numbers; allowed: 1, or {space.size}, one for each "
+                "parameter of an action"
+            )
         key_choice, key_random, key_candidates = jax.random.split(key, 3)
         actions = row(tree.parameters, row(tree.children, node))
         visits, returns = totals[:, 0], totals[:, 1]

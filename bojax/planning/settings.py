@@ -204,7 +204,9 @@ class VoronoiProposal(ProposalSettings, frozen=True):
     kind: Literal["voronoi"] = "voronoi"
     probability: float = Field(default=0.7, ge=0, le=1, description="probability of a random action")
     variance: Annotated[tuple[float, ...], Field(strict=False)] = Field(
-        default=(0.1, 0.1), description="variance about the best action, of each parameter in [-1, 1]"
+        default=(0.1,),
+        min_length=1,
+        description="variance about the best action, of each parameter in [-1, 1]; one number for all",
     )
     radius: float = Field(default=0.01, ge=0, description="distance within which a candidate is accepted")
     max_candidates: int = Field(default=20, ge=1, description="number of candidates")

@@ -291,3 +291,11 @@ def test_rollouts_follow_their_policy_to_the_horizon_and_no_further():
         # Every step ends at noise of variance 0.09, whose square is the loss.
         expected = -0.09 * sum(0.9**step for step in range(remaining))
         assert abs(float(value) - expected) <= 5 * 0.09 * np.sqrt(2 * remaining / 400)
+
+
+def test_a_voronoi_proposal_has_a_variance_for_each_parameter():
+    problem = drift()
+    tree = search(planner("pft", 20), problem, belief_of(problem))
+    proposal = VoronoiProposal(number(0.0), number([0.1, 0.2]), number(0.0), 4)
+    with pytest.raises(ValueError, match=r"planner\.proposal\.variance: got 2 numbers; allowed: 1"):
+        proposal(jax.random.key(0), problem.actions, tree, jnp.asarray(ROOT), tree.totals[ROOT])
