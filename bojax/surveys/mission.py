@@ -10,14 +10,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bojax.config.extras import MissingExtra
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.results.store import write_arrays
 from bojax.surveys.area import Area
 from bojax.surveys.goals import Goal, parse_goal
-from bojax.surveys.polylines import Waypoints, length_of
-from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points
+from bojax.surveys.information import PointErrors
+from bojax.surveys.lawnmower import Ground
+from bojax.surveys.planning import Demand, best_lawnmowers, ground_within
+from bojax.surveys.polylines import Waypoints, driven_at, length_of
+from bojax.surveys.route import (
+    NUM_GRID,
+    Route,
+    RouteOptions,
+    counted_points,
+    plan_route,
+    spread_points,
+    stays_inside,
+)
 
 LEAST_CAPACITY = 64
 """Measurements that the first belief has room for; each further one, compiled anew, has twice as many."""
@@ -130,12 +142,11 @@ class Mission:
         to_end = 0.0 if self.end is None else float(np.linalg.norm(self.end - entry))
         if left <= max(self.spacing, to_end):
             return NOTHING if self.end is None else self.end[None]
-        earlier = {} if self.route is None else {"earlier plan": self._rest(self.route.waypoints, entry)}
         self._plans += 1
         with jax.enable_x64(True):
             key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
             self.route = plan_route(
-                self.posterior(), self.area, left, entry, self.end, earlier, key,
+                self.posterior(), self.area, left, entry, self.end, self._guesses(entry, left), key,
                 spacing=self.spacing, weight=self.weights, target=self.goal.region, options=self.options,
             )  # fmt: skip
         route = self.route.waypoints
@@ -319,10 +330,32 @@ class Mission:
         points = spread_points(self.area, 1200)
         return points[np.argmin(np.linalg.norm(points - self.position, axis=1))]
 
+    def _guesses(self, entry: Waypoints, left: float) -> dict[str, Waypoints]:
+        """The rest of the earlier plan or, if there is none that stays in the area, the best lawnmowers."""
+        if self.route is not None:
+            rest = self._rest(self.route.waypoints, entry)
+            if stays_inside(rest, self.area):
+                return {"earlier plan": rest}
+        try:
+            ground, region = Ground.of(self.area, entry), self.goal.region
+            ground = ground if region is None else ground_within(ground, region)
+            grid = counted_points(self.area, region, NUM_GRID)
+            errors = PointErrors.of(self.posterior(), jnp.asarray(grid), jnp.asarray(self.weights(grid)))
+            demand = Demand(left, entry, self.end)
+            return best_lawnmowers(ground, errors, demand, self.spacing, self.options.restarts)
+        except (MissingExtra, ValueError):  # without shapely, or a budget for them
+            return {}
+
     def _rest(self, route: Waypoints, entry: Waypoints) -> Waypoints:
-        """The part of a route that lies ahead: its waypoints after the one nearest to the robot."""
-        nearest = int(np.argmin(np.linalg.norm(route - entry, axis=1)))
-        return np.concatenate([entry[None], route[min(nearest + 1, len(route) - 1) :]])
+        """The part of a route that lies ahead of its point that is nearest to the robot."""
+        driven = driven_at(route)
+        begins, ways = route[:-1], np.diff(route, axis=0)
+        squared = np.maximum(np.sum(ways**2, axis=1), np.finfo(float).tiny)
+        share = np.clip(np.sum((entry - begins) * ways, axis=1) / squared, 0.0, 1.0)
+        nearest = begins + share[:, None] * ways
+        piece = int(np.argmin(np.linalg.norm(nearest - entry, axis=1)))
+        at = driven[piece] + share[piece] * (driven[piece + 1] - driven[piece])
+        return np.concatenate([entry[None], route[(driven > at) | (np.arange(len(route)) == len(route) - 1)]])
 
 
 _PLAIN = (

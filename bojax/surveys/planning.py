@@ -158,12 +158,12 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
         for start, end in zip(demand.starts, demand.ends, strict=True):
             check_budget(ground, demand.budget, start, end)
     part, goal = Area(tuple(ground.rings)), demand.goal
-    counting = ground if goal.region is None else _within(ground, goal.region)
-    routes, lines = _lawnmowers(counting, model, demand)
+    counting = ground if goal.region is None else ground_within(ground, goal.region)
+    routes, lines = _lawnmowers(counting, model.lengthscale, demand)
     if goal.region is not None:
         routes = [(f"{detail}, over the region", route) for detail, route in routes]
         if demand.budget is not None:
-            routes += _lawnmowers(ground, model, demand)[0]
+            routes += _lawnmowers(ground, model.lengthscale, demand)[0]
     spacing = math.sqrt(counting.size / GRID_POINTS)
     belief, grid = model.belief(), Area(tuple(counting.rings)).grid(spacing)
     weights = goal.weights(*model.predict(grid))
@@ -194,6 +194,28 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     )
 
 
+def best_lawnmowers(
+    ground: Ground, errors: PointErrors, demand: Demand, sampling: float, number: int
+) -> dict[str, np.ndarray]:
+    """The lawnmowers of one robot that are expected to leave the least error, at most `number` of them.
+
+    Args:
+        ground: Where they are driven.
+        errors: Belief about the places that count.
+        demand: Budget and ends.
+        sampling: Distance between two measurements, m.
+        number: Largest number.
+
+    Raises:
+        ValueError: The budget does not reach from the start to the end.
+    """
+    assert demand.budget is not None
+    outcomes = _Outcomes(errors, sampling, demand.budget, 1)
+    routes, _ = _lawnmowers(ground, 0.0, demand)
+    found = [outcomes.of("lawnmower", detail, route)[0] for detail, route in routes]
+    return {each.name: each.routes[0] for each in sorted(found, key=lambda each: each.error)[:number]}
+
+
 def _optimised(
     model: FieldModel, area: Area, demand: Demand, guesses: Sequence[Candidate], sampling: float
 ) -> tuple[str, Sequence[np.ndarray]] | None:
@@ -218,7 +240,7 @@ def _optimised(
     return None if any(found.chosen == guess.name for guess in guesses) else (found.chosen, found.routes)
 
 
-def _within(ground: Ground, region: Area) -> Ground:
+def ground_within(ground: Ground, region: Area) -> Ground:
     """The part of the ground in a region, with the transfers of the whole ground.
 
     Raises:
@@ -263,10 +285,10 @@ class _Outcomes:
 
 
 def _lawnmowers(
-    ground: Ground, model: FieldModel, demand: Demand
+    ground: Ground, lengthscale: float, demand: Demand
 ) -> tuple[list[tuple[str, list[np.ndarray]]], float | None]:
     """Lawnmowers of all robots by direction, and the distance of lines without a budget."""
-    lines = None if demand.budget is not None else demand.spacing or model.lengthscale
+    lines = None if demand.budget is not None else demand.spacing or lengthscale
     routes = []
     for index in range(DIRECTIONS):
         angle = math.pi * index / DIRECTIONS

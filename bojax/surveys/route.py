@@ -180,7 +180,7 @@ def plan_routes(
         name: [fitted(each, budget, *pair) for each, *pair in zip(guess, starts, ends, strict=True)]
         for name, guess in (first_guesses or {}).items()
     }
-    points, scored = (_counting(area, target, number) for number in (NUM_GRID, NUM_SCORED))
+    points, scored = (counted_points(area, target, number) for number in (NUM_GRID, NUM_SCORED))
     guesses = given | _own_guesses(points, budget, starts, ends, options.restarts - len(given), random)
 
     maps = jnp.asarray(plausible_maps(options), dtype)
@@ -265,7 +265,7 @@ def spread_points(area: Area, number: int) -> Waypoints:
     return area.grid(spacing * share**0.5)
 
 
-def _counting(area: Area, target: Area | None, number: int) -> Waypoints:
+def counted_points(area: Area, target: Area | None, number: int) -> Waypoints:
     """About `number` points `[M, 2]` of the area in its target, m."""
     if target is None:
         return spread_points(area, number)

@@ -10,8 +10,8 @@ import pytest
 
 from bojax.surveys.area import Area
 from bojax.surveys.mission import Mission
-from bojax.surveys.polylines import length_of
-from bojax.surveys.route import RouteOptions, fitted
+from bojax.surveys.polylines import length_of, points_along
+from bojax.surveys.route import RouteOptions, fitted, stays_inside
 
 QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
 SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
@@ -184,3 +184,25 @@ def test_an_unknown_goal_is_refused(goal):
 def test_a_region_must_be_in_the_area():
     with pytest.raises(ValueError, match="target: no part of it lies in the area"):
         mission(goal=Area.rectangle(10.0, 10.0, 12.0, 12.0)).plan()
+
+
+def test_a_mission_among_walls_has_a_plan_that_stays_inside_from_any_point_of_it():
+    pytest.importorskip("shapely")
+    walls = [(4.0, 0.0, 5.0, 16.0), (12.0, 4.0, 13.0, 20.0)]
+    boxes = [np.array([[x, y], [z, y], [z, w], [x, w]]) for x, y, z, w in walls]
+    area = Area.rectangle(0.0, 0.0, 20.0, 20.0).without([(box,) for box in boxes])
+    options = RouteOptions(waypoints=16, restarts=2, steps=3, models=1)
+    mission = Mission(area, 90.0, [2.0, 2.0], spacing=2.0, options=options)
+    for distance in (13.0, 9.5, 17.3):  # the robot stops between waypoints
+        way = np.concatenate([mission.position[None], mission.plan()])
+        assert stays_inside(way, area) and length_of(way) <= mission.remaining + 1e-6
+        points = points_along(way, np.linspace(1.0, distance, 9))
+        mission.observe(points, np.sin(points[:, 0]))
+
+
+def test_the_rest_of_a_plan_begins_behind_the_robot_on_its_own_piece():
+    mission = Mission(Area.rectangle(0.0, 0.0, 9.0, 9.0), 30.0, [0.0, 0.0], spacing=1.0)
+    route = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 8.0]])
+    np.testing.assert_allclose(mission._rest(route, np.array([5.0, 0.0])), [[5, 0], [8, 0], [8, 8]])
+    np.testing.assert_allclose(mission._rest(route, np.array([8.0, 1.0])), [[8, 1], [8, 8]])
+    np.testing.assert_allclose(mission._rest(route, np.array([8.0, 8.0])), [[8, 8], [8, 8]])
