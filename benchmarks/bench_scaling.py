@@ -32,6 +32,7 @@ THESIS = "thesis"
 EXAMPLES = """\
   python benchmarks/bench_scaling.py                          1, 2, 4, ... up to all GPUs, or a small one
   python benchmarks/bench_scaling.py --only parking --runs 256000 --devices 1 --json one.json
+  python benchmarks/bench_scaling.py --first 3 --devices 1    on the fourth GPU, beside other work
   python benchmarks/bench_scaling.py --launchers inline ray   the largest number of GPUs also through Ray
   python benchmarks/bench_scaling.py --device cpu --devices 1 2 --divide 1000    a small one, without GPUs
   python benchmarks/bench_scaling.py --results one.json two.json --plot speed-up.svg
@@ -76,6 +77,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--devices", nargs="+", type=positive, metavar="N", help="numbers of GPUs (1, 2, 4, ..., all)"
     )
+    parser.add_argument(
+        "--first", type=int, default=0, metavar="INDEX", help="index of the first GPU that is used inline (0)"
+    )
     names = (*SWEEPS, THESIS)
     parser.add_argument("--only", nargs="+", choices=names, default=list(SWEEPS), help="which sweeps")
     parser.add_argument("--runs", nargs="+", type=positive, metavar="N", help="numbers of runs, as above")
@@ -105,6 +109,8 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     for number in args.runs or ():
         if number % (LANES // args.divide):
             parser.error(f"--runs: got {number}; allowed: multiples of {LANES // args.divide}")
+    if args.first < 0 or (args.first and args.device == "cpu"):
+        parser.error(f"--first: got {args.first}; allowed: the index of a GPU, from 0")
     if args.device == "cpu" and not args.devices:
         parser.error("--device cpu: name the numbers of parts with --devices")
     return args
@@ -141,12 +147,13 @@ def choose_devices(args: argparse.Namespace) -> None:
     if args.device == "cpu":
         return
     count = count_gpus()
+    left = count - args.first
     if count:
         args.device = "gpu"
-        args.devices = args.devices or powers(count)
-        if max(args.devices) > count:
+        args.devices = args.devices or powers(max(left, 1))
+        if max(args.devices) > left:
             sys.exit(
-                f"error: --devices: got {max(args.devices)}; allowed: 1 to {count}, the GPUs of this machine"
+                f"error: --devices: got {max(args.devices)}; allowed: 1 to {left}, the GPUs from --first on"
             )
     elif args.device == "gpu" or args.devices:
         sys.exit("error: JAX finds no GPU; allowed: --device cpu --devices N ...")
@@ -177,7 +184,13 @@ def timed(
     args: argparse.Namespace, name: str, runs: int, number: int, launcher: str, out: Path
 ) -> dict[str, Any]:
     """Run a command and describe it: seconds of all of it, spans of its chunks, hashes of its tables."""
-    words = [sys.executable, "-m", "bojax", *command(name, runs, args), *place_on(number, launcher, out)]
+    words = [
+        sys.executable,
+        "-m",
+        "bojax",
+        *command(name, runs, args),
+        *place_on(number, launcher, out, args.first),
+    ]
     parts = max(args.devices) if args.device == "cpu" else 0
     flags = f" --xla_force_host_platform_device_count={parts}" if parts else ""
     environment = os.environ | {"XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + flags}
@@ -225,10 +238,10 @@ def sweep_file(name: str) -> str:
     return str(path)
 
 
-def place_on(number: int, launcher: str, out: Path) -> list[str]:
-    """The options that choose a number of GPUs."""
+def place_on(number: int, launcher: str, out: Path, first: int = 0) -> list[str]:
+    """The options that choose a number of GPUs; Ray chooses which ones by itself."""
     if launcher == "inline":
-        return ["--devices", ",".join(map(str, range(number)))]
+        return ["--devices", ",".join(map(str, range(first, first + number)))]
     cluster = out.with_suffix(".yaml")
     cluster.write_text(yaml.safe_dump({"workers": number}))
     return ["--launcher", "ray", "--cluster", str(cluster)]

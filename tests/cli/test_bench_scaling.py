@@ -85,6 +85,7 @@ def test_speed_up_and_tables(bench, tmp_path, capsys):
         ("--runs 5000", "--runs: got 5000; allowed: multiples of 4000"),
         ("--device cpu", "--device cpu: name the numbers of parts with --devices"),
         ("--devices 0", "got 0; allowed: >= 1"),
+        ("--first -1", "--first: got -1; allowed: the index of a GPU, from 0"),
     ],
 )
 def test_refused_arguments(bench, words, line, capsys):
@@ -92,6 +93,10 @@ def test_refused_arguments(bench, words, line, capsys):
         bench.parse(words.split())
     assert exit_info.value.code == 2
     assert line in capsys.readouterr().err
+
+
+def test_gpus_of_a_command(bench, tmp_path):
+    assert bench.place_on(2, "inline", tmp_path, 2) == ["--devices", "2,3"]
 
 
 def test_numbers_of_devices(bench):
@@ -117,7 +122,10 @@ def test_devices_of_the_machine(bench, monkeypatch, capsys):
     assert chosen(0) == ("cpu", [1, 2], 1000)
     assert "no GPU" in capsys.readouterr().out
     assert chosen(4, "--device", "cpu", "--devices", "2") == ("cpu", [2], 1)
-    with pytest.raises(SystemExit, match="--devices: got 8; allowed: 1 to 4, the GPUs of this machine"):
+    with pytest.raises(SystemExit, match="--devices: got 8; allowed: 1 to 4, the GPUs from --first on"):
         chosen(4, "--devices", "8")
+    assert chosen(4, "--first", "3", "--devices", "1") == ("gpu", [1], 1)
+    with pytest.raises(SystemExit, match="--devices: got 2; allowed: 1 to 1"):
+        chosen(4, "--first", "3", "--devices", "2")
     with pytest.raises(SystemExit, match="JAX finds no GPU"):
         chosen(0, "--devices", "1")
