@@ -108,7 +108,7 @@ class Choices:
             with self._lock:
                 self._news()
                 published = set(self._published)
-            new = {name: value for name, value in measured().items() if name not in published}
+            new = measured(published)
             own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
             write_checked_json(own, {"program": content, "choices": new}, path.name)
             with contextlib.suppress(FileExistsError):

@@ -18,7 +18,8 @@ import lzma
 import os
 import re
 import secrets
-from collections.abc import Mapping
+import threading
+from collections.abc import Collection, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -46,15 +47,43 @@ def xla_folder() -> Path | None:
     return None if folder is None else folder / XLA_FOLDER
 
 
-def read_all() -> Choices:
-    """All choices in XLA's folder."""
-    folder, known = xla_folder(), {}
-    for path in sorted(folder.rglob("*")) if folder is not None else ():
-        name = str(path.relative_to(folder)) if folder is not None else ""
-        if _IS_SAFE.fullmatch(name) and path.suffix in (".pb", ".textproto"):
-            with contextlib.suppress(OSError):
-                known[name] = base64.b64encode(path.read_bytes()).decode()
-    return known
+def read_all(left_out: Collection[str] = ()) -> Choices:
+    """The choices in XLA's folder, but for those that are left out.
+
+    A sweep asks for each of its programs, and the folder of a reproduction has ten thousand files. So the
+    files are only listed, and each is read once in a process.
+    """
+    folder, found = xla_folder(), {}
+    with _reading:
+        for name, entry in sorted(_files(folder)) if folder is not None else ():
+            if name not in left_out and (content := _content_of(entry)) is not None:
+                found[name] = content
+    return found
+
+
+_reading = threading.Lock()
+_contents: dict[tuple[str, int], str] = {}
+"""The contents of files, by path and inode: XLA writes a file whole, under another name first."""
+
+
+def _content_of(entry: os.DirEntry[str]) -> str | None:
+    """The content of a file in base64; None if it cannot be read."""
+    key = entry.path, entry.inode()
+    if key not in _contents:
+        with contextlib.suppress(OSError):
+            _contents[key] = base64.b64encode(Path(entry.path).read_bytes()).decode()
+    return _contents.get(key)
+
+
+def _files(folder: Path | str, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
+    """XLA's files below a folder, by their paths in it."""
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            name = prefix + entry.name
+            if entry.is_dir(follow_symlinks=False):
+                yield from _files(entry.path, f"{name}/")
+            elif name.endswith((".pb", ".textproto")) and _IS_SAFE.fullmatch(name):
+                yield name, entry
 
 
 def write(folder: Path, choices: Choices, *, replaces: bool = False) -> None:
@@ -95,10 +124,9 @@ def shipped(device: Device) -> Choices:
     return {name: base64.b64encode(text.encode("latin-1")).decode() for name, text in texts.items()}
 
 
-def measured() -> Choices:
-    """The choices in XLA's folder that did not come with bojax."""
-    known = {name for device in jax.local_devices() for name in shipped(device)}
-    return {name: content for name, content in read_all().items() if name not in known}
+def measured(left_out: Collection[str]) -> Choices:
+    """The choices in XLA's folder that did not come with bojax, but for those that are left out."""
+    return read_all({*left_out, *(name for device in jax.local_devices() for name in shipped(device))})
 
 
 def offer_shipped(device: Device) -> None:

@@ -119,6 +119,10 @@ def row(rows: Array, *index: Int[Array, "..."]) -> Array:
     return rows.at[index].get(mode="promise_in_bounds")
 
 
+_ROUNDING = 32
+"""Distance from a whole number, in units of the last place, that is taken for an error of a power."""
+
+
 class Widening(eqx.Module):
     """Progressive widening: another child is added iff their number is at most k n^alpha after n visits.
 
@@ -140,6 +144,11 @@ class Widening(eqx.Module):
         index = jnp.arange(capacity, dtype=self.coefficient.dtype)
         # The first child needs no visit: 0^0 would be 1.
         needed = jnp.where(index > 0.0, (index / self.coefficient) ** (1.0 / self.exponent), 0.0)
+        # A power is rounded differently on each device; at a whole number, that would cost a visit.
+        whole = jnp.round(needed)
+        needed = jnp.where(
+            abs(needed - whole) <= _ROUNDING * jnp.finfo(needed.dtype).eps * whole, whole, needed
+        )
         return jnp.maximum(index, needed)
 
 

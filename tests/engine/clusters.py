@@ -26,6 +26,14 @@ EPISODES = "episodes=1000"
 HAS_SLURM = os.geteuid() == 0 and all(map(shutil.which, ("slurmctld", "slurmd", "munged", "sbatch")))
 
 
+ROOT = Path(__file__).parents[2]
+
+
+def search_path() -> dict[str, str]:
+    """The environment of a process that imports this bojax, and else what this process finds."""
+    return {"PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     return {name: (folder / f"{name}.parquet").read_bytes() for name in ("runs", "episodes")}
 

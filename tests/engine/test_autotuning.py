@@ -98,7 +98,7 @@ def test_choices_are_offered_as_they_are_published_and_overwrite_none(tmp_path, 
 
 @pytest.mark.parametrize("name", ["../stolen.pb", "/stolen.pb", "a/../../stolen.pb", ".hidden.pb"])
 def test_no_name_leads_out_of_xla_s_folder(tmp_path, xla, monkeypatch, name):
-    monkeypatch.setattr(autotuning, "measured", lambda: {name: base64.b64encode(b"x").decode()})
+    monkeypatch.setattr(autotuning, "measured", lambda _: {name: base64.b64encode(b"x").decode()})
     Choices(tmp_path / "plan").settle("0-8-advance", Made("a"), never)
     before = {path for path in tmp_path.rglob("*")}
     Choices(tmp_path / "plan").offer()

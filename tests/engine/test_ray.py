@@ -21,7 +21,7 @@ from bojax.engine.errors import EngineError
 from bojax.engine.launchers import ray_actors
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.store import WORK
-from tests.engine.clusters import EPISODES, SWEEP, contents, running_in, wait_until
+from tests.engine.clusters import EPISODES, SWEEP, contents, running_in, search_path, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ ENTRY = "from bojax.engine.launchers import ray_actors; from bojax.cli.main impo
 
 def bojax(place: Path, *words: str, address: str | None, before: str = "", **variables) -> subprocess.Popen:
     """`bojax WORDS`, after a Python statement in which `ray_actors` may be changed."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **variables}
+    environment = {**os.environ, **search_path(), **variables}
     if address:
         environment["RAY_ADDRESS"] = address
     return subprocess.Popen(

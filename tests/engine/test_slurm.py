@@ -16,7 +16,16 @@ from bojax.engine.errors import EngineError
 from bojax.engine.launchers.slurm import Slurm
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.store import WORK
-from tests.engine.clusters import EPISODES, HAS_SLURM, SWEEP, contents, running_in, slurm, wait_until
+from tests.engine.clusters import (
+    EPISODES,
+    HAS_SLURM,
+    SWEEP,
+    contents,
+    running_in,
+    search_path,
+    slurm,
+    wait_until,
+)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +56,7 @@ def bojax(place: Path, *words: str, code: int = 0) -> subprocess.CompletedProces
     done = subprocess.run(
         [sys.executable, "-m", "bojax", *words],
         cwd=place,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        env={**os.environ, **search_path()},
         capture_output=True,
         text=True,
     )

@@ -68,6 +68,19 @@ def test_a_plan_keeps_only_what_does_not_come_with_bojax(xla, tmp_path):
     assert set(read_checked_json(tmp_path / "plan" / "0-8-advance.json")["choices"]) == {"card/own.pb"}
 
 
+def test_each_file_is_read_once_until_another_takes_its_place(xla, monkeypatch):
+    reads, read = [], xla_choices.Path.read_bytes
+    monkeypatch.setattr(xla_choices.Path, "read_bytes", lambda path: (reads.append(path.name), read(path))[1])
+    choose(xla, dot="tile 8", sum="tile 32")
+    assert [len(read_all()), len(read_all({"card/sum.pb"})), len(read_all())] == [2, 1, 2]
+    assert sorted(reads) == ["dot.pb", "sum.pb"]
+    (xla / "new").write_bytes(b"tile 16")
+    (xla / "new").replace(xla / "card" / "dot.pb")
+    assert base64.b64decode(read_all()["card/dot.pb"]) == b"tile 16"
+    (xla / "card" / "link.pb").symlink_to(xla / "none")
+    assert len(read_all()) == 2
+
+
 def test_an_archive_is_made_of_all_choices(xla, capsys):
     ship(dot="tile 16")
     choose(xla, own="tile 2")

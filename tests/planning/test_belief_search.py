@@ -165,6 +165,14 @@ def test_thresholds_are_the_rule_of_widening(k, alpha):
     assert children == capacity(k, alpha, 50)
 
 
+def test_a_threshold_that_a_device_rounds_up_is_whole(monkeypatch):
+    power = jnp.power  # as on a GPU, where 37.0 ** 1.0 is larger than 37
+    rounded = lambda x, y: jnp.nextafter(power(x, y), jnp.inf)  # noqa: E731
+    widening = Widening(number(1.0), number(1.0))
+    monkeypatch.setattr(type(number(1.0)), "__pow__", rounded)
+    assert np.array_equal(widening.thresholds(60), np.arange(60))
+
+
 @pytest.mark.parametrize("name", ["pft", "pomcpow"])
 def test_visits_add_up_and_widening_is_bounded(name):
     problem, iterations = drift(), 300
