@@ -1,5 +1,6 @@
 """Choices of kernels that come with bojax are given to XLA, and not kept with a plan again."""
 
+import base64
 import json
 import lzma
 
