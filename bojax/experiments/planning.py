@@ -138,6 +138,7 @@ class PlanningEpisode(Experiment):
             "accumulated_reward": accumulated,
             "done": done,
             **problem.row(world),
+            **problem.belief_row(world, belief),
         }
         columns = {column.name: row[column.name][None] for column in problem.step_columns}
         records = Records({"steps": {**columns, "valid": active[None]}}, active.astype(jnp.int32))

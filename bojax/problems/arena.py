@@ -53,6 +53,13 @@ class Arena(eqx.Module):
         trajectory = place(jnp.pad(path, ((1, 0), (0, 0))), pose)
         return drive_until_blocked(trajectory, self.border, self.walls)
 
+    def drive_within(
+        self, pose: Pose, path: Path, left: Float[Array, ""] | None
+    ) -> tuple[Drive, Float[Array, ""] | None]:
+        """The same within a distance, and what is left of it; None for any distance."""
+        drive = self.drive(pose, path)
+        return (drive, None) if left is None else drive.within(pose, left)
+
     @eqx.filter_jit  # traced and lowered once where a program drives several times
     def end(self, driven: Drive) -> Pose:
         """Pose after a drive: its last pose, turned round if the robot was stopped and turns on the spot."""

@@ -103,6 +103,10 @@ class Problem(eqx.Module):
     def row(self, world: World) -> dict[str, Scalar]:
         """What `steps.parquet` says about the world after an action; at least one number."""
 
+    def belief_row(self, world: World, belief: Belief) -> dict[str, Scalar]:
+        """What `steps.parquet` says about the belief after an action; nothing by default."""
+        return {}
+
     @abc.abstractmethod
     def summary(self, record: Record, world: World, belief: Belief) -> dict[str, Scalar]:
         """What `runs.parquet` says about an episode, beside what the experiment fills in."""

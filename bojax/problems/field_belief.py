@@ -20,12 +20,14 @@ class Samples(eqx.Module):
         values: Measured values.
         is_taken: Whether the robot reached the sample's pose.
         pose: Estimated pose of the robot at the end.
+        left: Distance left of the budget, m; None without a budget.
     """
 
     points: Float[Array, "S 2"]
     values: Float[Array, "S"]
     is_taken: Bool[Array, "S"]
     pose: Pose
+    left: Float[Array, ""] | None = None
 
 
 class FieldBelief(eqx.Module):
@@ -38,6 +40,7 @@ class FieldBelief(eqx.Module):
         counts: Number of samples held at the start and after each path; 0 for future paths.
         key: Key from which hyper-parameter learning draws its starting points.
         num_samples: Largest number of samples per path.
+        left: Distance left of the budget, m; None without a budget.
     """
 
     pose: Pose
@@ -46,9 +49,12 @@ class FieldBelief(eqx.Module):
     counts: Int[Array, "N"]
     key: Key[Array, ""]
     num_samples: int = eqx.field(static=True)
+    left: Float[Array, ""] | None = None
 
-    def after(self, posterior: GaussianProcess, pose: Pose | Numbers) -> "FieldBelief":
-        """The belief after one more path, which led to this posterior and pose.
+    def after(
+        self, posterior: GaussianProcess, pose: Pose | Numbers, left: Float[Array, ""] | None = None
+    ) -> "FieldBelief":
+        """The belief after one more path, which led to this posterior and pose, and left this distance.
 
         Raises:
             ValueError: The pose is not finite, or more paths were driven than `max_steps` of the problem
@@ -61,7 +67,7 @@ class FieldBelief(eqx.Module):
             if int(step) > most:
                 raise ValueError(f"after: got path {int(step)}; allowed: up to {most}, `max_steps`")
         counts = self.counts.at[step].set(posterior.count, mode="drop")
-        return replace(self, pose=pose, posterior=posterior, step=step, counts=counts)
+        return replace(self, pose=pose, posterior=posterior, step=step, counts=counts, left=left)
 
     def predict_grid(
         self, grid: Float[Array, "G 2"], resolution: int

@@ -44,6 +44,19 @@ FIELD_COLUMNS: Table = (
 )
 
 
+STEP_ERRORS = ("rmse", "mnll", "mean_std")
+"""Errors of the belief in `steps.parquet`, if they are asked for."""
+
+DISTANCE = Column("distance", "float64", "m", "distance driven so far, along the poses of the paths")
+STEP_COLUMNS: Table = tuple(
+    Column(
+        each.name, each.dtype, each.unit, each.doc.replace("the final belief", "the belief after the step")
+    )
+    for each in ERROR_COLUMNS
+    if each.name in STEP_ERRORS
+)
+
+
 class FieldWorld(eqx.Module):
     """True state of an episode.
 
@@ -51,11 +64,15 @@ class FieldWorld(eqx.Module):
         vehicle: State of the vehicle.
         collisions: Number of collisions with a wall.
         gradient: Sum of the norm of the true field's gradient over the samples taken.
+        distance: Distance driven along the poses of the paths, m; None if it is not a column.
+        left: Distance left of the budget, m; None without a budget.
     """
 
     vehicle: VehicleState
     collisions: Int[Array, ""]
     gradient: Float[Array, ""]
+    distance: Float[Array, ""] | None = None
+    left: Float[Array, ""] | None = None
 
 
 class FieldProblem(PathProblem):
@@ -66,7 +83,8 @@ class FieldProblem(PathProblem):
     the pose of the robot, but not the field. A wall or the border stops the robot at the last reachable pose
     of the path; later samples are neither taken nor rewarded. The robot then keeps its heading
     (`after_collision: "stop"`) or turns round on the spot (`"turn"`, not available to a vehicle with a
-    turning radius). The same rules hold in the world and in the simulations of every planner.
+    turning radius). With a budget of distance, the robot stops at the last pose that it allows, and the
+    episode ends. The same rules hold in the world and in the simulations of every planner.
     """
 
     field: Field
@@ -84,6 +102,7 @@ class FieldProblem(PathProblem):
     exit_reward: Float[Array, ""]
     margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()), kw_only=True)
     relearn_spread: Float[Array, ""]
+    budget: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
     sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
     max_steps: int = eqx.field(static=True)
@@ -92,6 +111,7 @@ class FieldProblem(PathProblem):
     imagined: Literal["sample", "mean"] = eqx.field(static=True)
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
     weighting: Weighting = eqx.field(static=True)
+    errors_by_step: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
         """Check that kernel, mean, sensor, field and vehicle fit together, or raise ValueError."""
@@ -111,6 +131,33 @@ class FieldProblem(PathProblem):
         """Scores of the final belief: `field_score`, and others that a subclass adds."""
 
     @property
+    def measures_distance(self) -> bool:
+        """Whether `steps.parquet` has the distance driven."""
+        return self.errors_by_step or self.budget is not None
+
+    @property
+    def _budget(self) -> Float[Array, ""] | None:
+        return None if self.budget is None else self.budget.astype(self.domain.dtype)
+
+    @property
+    @override
+    def step_columns(self) -> Table:
+        distance = (DISTANCE,) if self.measures_distance else ()
+        return super().step_columns + distance + (STEP_COLUMNS if self.errors_by_step else ())
+
+    @override
+    def row(self, world: FieldWorld) -> dict[str, Scalar]:
+        return super().row(world) | ({} if world.distance is None else {"distance": world.distance})
+
+    @override
+    def belief_row(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
+        """The columns of `STEP_ERRORS`, on the grid of the final scores."""
+        if not self.errors_by_step:
+            return {}
+        scores = self.field_score(world, belief)
+        return {name: scores[name] for name in STEP_ERRORS}
+
+    @property
     def arena(self) -> Arena:
         """The area that the robot moves in."""
         return Arena(
@@ -127,7 +174,8 @@ class FieldProblem(PathProblem):
     def reset(self, key: Key[Array, ""]) -> FieldWorld:
         pose = self.arena.random_pose(key) if self.start is None else self.start
         zero = jnp.zeros((), self.domain.dtype)
-        return FieldWorld(self.vehicle.reset(pose), jnp.zeros((), jnp.int32), zero)
+        distance = zero if self.measures_distance else None
+        return FieldWorld(self.vehicle.reset(pose), jnp.zeros((), jnp.int32), zero, distance, self._budget)
 
     @override
     def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
@@ -140,6 +188,7 @@ class FieldProblem(PathProblem):
             counts=jnp.zeros((self.max_steps + 1,), jnp.int32),
             key=key,
             num_samples=num_samples,
+            left=self._budget,
         )
 
     @override
@@ -148,7 +197,8 @@ class FieldProblem(PathProblem):
     ) -> tuple[FieldWorld, Samples, PathEvents]:
         """Drive a path and take its samples."""
         arena = self.arena
-        driven = arena.drive(self.vehicle.estimate(world.vehicle), action)
+        start = self.vehicle.estimate(world.vehicle)
+        driven, left = arena.drive_within(start, action, world.left)
         # x and y are measured with the same deviation.
         noise = None if self.pose_noise is None else self.pose_noise[jnp.asarray([0, 0, 1])]
         tracked = self.vehicle.follow(
@@ -161,10 +211,12 @@ class FieldProblem(PathProblem):
             vehicle=tracked.state,
             collisions=world.collisions + driven.collided.astype(jnp.int32),
             gradient=world.gradient + jnp.sum(jnp.where(driven.is_driven, slope, 0.0)),
+            distance=None if world.distance is None else world.distance + driven.length_from(start),
+            left=left,
         )
         events = PathEvents(
             reward=arena.cost(driven),
-            terminated=jnp.zeros((), bool),
+            terminated=jnp.zeros((), bool) if left is None else left <= 0.0,
             success=arena.reaches_target(driven),
             exited=driven.exited,
             driven=tracked.poses,
@@ -173,7 +225,7 @@ class FieldProblem(PathProblem):
             failed=tracked.failed,
         )
         pose = self.vehicle.estimate(tracked.state)
-        return after, Samples(tracked.estimates[:, :2], values, driven.is_driven, pose), events
+        return after, Samples(tracked.estimates[:, :2], values, driven.is_driven, pose, left), events
 
     @override
     def update(
@@ -194,7 +246,7 @@ class FieldProblem(PathProblem):
                 posterior,
             )
             posterior = jax.tree.map(lambda new, old: jnp.where(is_due, new, old), learned, posterior)
-        return belief.after(posterior, observation.pose)
+        return belief.after(posterior, observation.pose, observation.left)
 
     @override
     def reward(
@@ -211,7 +263,7 @@ class FieldProblem(PathProblem):
     @override
     def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:
         """The factored posterior, and the root node."""
-        node = root_node(belief.pose, horizon, belief.num_samples, self.domain.dtype)
+        node = root_node(belief.pose, horizon, belief.num_samples, self.domain.dtype, belief.left)
         return LookaheadRoot.of(belief.posterior), node
 
     @override

@@ -20,15 +20,23 @@ class FieldNode(eqx.Module):
     Attributes:
         rows: The first row holds the pose of the robot and the number of actions since the root, the others
             the samples.
+        left: Distance left of the budget, m; None without a budget.
     """
 
     # One array, since a search writes a node in every iteration, and each array costs a GPU a kernel.
     rows: Float[Array, "*N R 4"]
+    left: Float[Array, "*N"] | None = None
 
     @classmethod
-    def of(cls, pose: Pose, level: Float[Array, ""], samples: Float[Array, "B 4"]) -> "FieldNode":
+    def of(
+        cls,
+        pose: Pose,
+        level: Float[Array, ""],
+        samples: Float[Array, "B 4"],
+        left: Float[Array, ""] | None = None,
+    ) -> "FieldNode":
         """The node with these parts."""
-        return cls(jnp.concatenate([jnp.append(pose, level)[None], samples]))
+        return cls(jnp.concatenate([jnp.append(pose, level)[None], samples]), left)
 
     @property
     def pose(self) -> Float[Array, "*N 3"]:
@@ -65,10 +73,12 @@ class FieldNode(eqx.Module):
         return self.samples[..., 3] > 0.0
 
 
-def root_node(pose: Pose, horizon: int, num_samples: int, dtype) -> FieldNode:
+def root_node(
+    pose: Pose, horizon: int, num_samples: int, dtype, left: Float[Array, ""] | None = None
+) -> FieldNode:
     """The root, with room for the samples of all actions up to the horizon but the last."""
     samples = jnp.zeros(((horizon - 1) * num_samples, 4), dtype)
-    return FieldNode.of(pose, jnp.zeros((), dtype), samples)
+    return FieldNode.of(pose, jnp.zeros((), dtype), samples, left)
 
 
 def simulate_paths(
@@ -83,16 +93,18 @@ def simulate_paths(
     """Drive paths one after the other from a node, and imagine their samples.
 
     All samples since the root, those of the node first, enter one look-ahead: no posterior is refitted.
-    Samples past the horizon are dropped.
+    Samples past the horizon are dropped. A path that uses up the budget is terminal.
     """
     # Each path is driven from the end of the one before it: the number of paths is static, so this unrolls.
     num_paths, size = paths.shape[:2]
     room = node.samples.shape[0]
     horizon = room // size + 1
-    pose, drives = node.pose, []
+    pose, drives, lefts = node.pose, [], [node.left]
     for path in paths:
-        drives.append(arena.drive(pose, path))
-        pose = arena.end(drives[-1])
+        drive, left = arena.drive_within(pose, path, lefts[-1])
+        drives.append(drive)
+        lefts.append(left)
+        pose = arena.end(drive)
     # Observations are imagined by their innovations: zeros give the predictive means, normal draws a sample
     # of the belief, and neither needs the belief that `look_ahead` is about to compute.
     innovations = jnp.zeros((num_paths, size), paths.dtype)
@@ -125,8 +137,9 @@ def simulate_paths(
     # cleared.
     stage = (jnp.arange(room, dtype=jnp.int32) // size).astype(paths.dtype)
     samples = jnp.where((stage <= node.level)[:, None], all_samples.samples[:room], 0.0)
-    child = FieldNode.of(arena.end(drives[0]), node.level + 1.0, samples)
-    return Simulation(child, rewards, jnp.zeros((num_paths,), bool))
+    child = FieldNode.of(arena.end(drives[0]), node.level + 1.0, samples, lefts[1])
+    used = [left <= 0.0 for left in lefts[1:] if left is not None]
+    return Simulation(child, rewards, jnp.stack(used) if used else jnp.zeros((num_paths,), bool))
 
 
 def _choose(level: Float[Array, ""], options: list[Array]) -> Array:

@@ -230,8 +230,19 @@ class FieldProblem(ProblemSettings, frozen=True):
     sensor: Annotated[Component, Slot("sensor")] = Field(default=Point(), description="sensor of the field")
     collision_reward: float = Field(default=-100.0, le=0, description="reward when a wall stops the robot")
     exit_reward: float = Field(default=-100.0, le=0, description="reward when the border stops the robot")
+    budget: float | None = Field(
+        default=None,
+        gt=0,
+        description="distance after which an episode ends, m; `null`: it ends after `max_steps`. The robot "
+        "stops at the last pose of a path that it allows, in simulations too",
+    )
     max_steps: _MaxSteps = 25
     resolution: _Resolution = 31
+    errors_by_step: bool = Field(
+        default=False,
+        description="whether steps.parquet has the distance driven and, of the belief after every step, "
+        "rmse, mnll and mean_std",
+    )
     relearn_every: int = Field(default=0, ge=0, description="steps between hyper-parameter updates; 0: none")
     relearn_spread: float = Field(
         default=0.5, gt=0, description="prior standard deviation of each hyper-parameter's logarithm"

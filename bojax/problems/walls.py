@@ -10,6 +10,9 @@ Boxes = Float[Array, "W 4"]
 """Axis-parallel rectangles, `[x_min, y_min, x_max, y_max]` in metres."""
 
 
+ROUNDING = 1e-9  # of distances: metres, and share of a distance
+
+
 class Drive(eqx.Module):
     """The part of a path that was driven.
 
@@ -24,6 +27,32 @@ class Drive(eqx.Module):
     is_driven: Bool[Array, "S"]
     collided: Bool[Array, ""]
     exited: Bool[Array, ""]
+
+    def length_from(self, start: Float[Array, "3"]) -> Float[Array, ""]:
+        """Its length from its start, m."""
+        return jnp.sum(self._lengths(start))
+
+    def _lengths(self, start: Float[Array, "3"]) -> Float[Array, "S"]:
+        points = jnp.concatenate([start[None, :2], self.poses[:, :2]])
+        return jnp.sqrt(jnp.sum(jnp.diff(points, axis=0) ** 2, axis=-1))
+
+    def within(self, start: Float[Array, "3"], left: Float[Array, ""]) -> tuple["Drive", Float[Array, ""]]:
+        """The part of the drive of at most `left` metres from its start, and the distance left after it.
+
+        Where the distance does not suffice, the robot stops at the last pose that it reaches, and none is
+        left: what remains does not reach any further pose.
+        """
+        driven = jnp.cumsum(self._lengths(start))
+        # Rounding of the sums does not leave out a pose that lies exactly at the end.
+        reaches = self.is_driven & (driven <= left * (1.0 + ROUNDING) + ROUNDING)
+        is_cut = jnp.sum(reaches) < jnp.sum(self.is_driven)
+        number = jnp.sum(reaches).astype(jnp.int32)
+        index = jnp.arange(1, len(self.poses) + 1, dtype=jnp.int32)
+        poses = jnp.concatenate([start[None], self.poses])[jnp.minimum(index, number)]
+        rest = jnp.maximum(left - jnp.max(jnp.where(reaches, driven, 0.0)), 0.0)
+        rest = jnp.where(is_cut | (rest <= left * ROUNDING + ROUNDING), 0.0, rest)
+        # A wall behind the end of the budget stops nobody.
+        return Drive(poses, reaches, self.collided & ~is_cut, self.exited & ~is_cut), rest
 
 
 @eqx.filter_jit  # traced and lowered once where a program drives several times

@@ -1,0 +1,102 @@
+"""A budget of distance: the robot stops at the last pose that it allows, and planners know that."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from bojax.cli.main import main
+from bojax.motions.base import place
+from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
+from tests.problems.test_monitoring import SIZE, WALLED, drives
+
+BUDGET = 1.1
+LIMITED = monitoring(walls=None, target_area=None, budget=f64(BUDGET), errors_by_step=True)
+
+
+def reference_within(start, poses, is_driven, left):
+    """How many poses are reached within a distance, and what is left; 0 if a pose could not be reached."""
+    at, number = start[:2], 0
+    for pose, driven in zip(poses, is_driven, strict=True):
+        gap = np.linalg.norm(pose[:2] - at)
+        if not driven:
+            break
+        if gap > left + 1e-9:
+            return number, 0.0
+        at, left, number = pose[:2], left - gap, number + 1
+    return number, left
+
+
+@pytest.mark.parametrize("left", [0.0, 0.2, 0.55, 3.0])
+def test_a_drive_is_cut_where_the_distance_ends(left):
+    starts, paths = drives(100, seed=5)
+
+    @jax.jit
+    def cut(start, path):
+        drive = WALLED.arena.drive(start, path)
+        return drive, *drive.within(start, f64(left))
+
+    for start, path in zip(starts, paths, strict=True):
+        whole, part, rest = jax.tree.map(np.asarray, cut(f64(start), f64(path)))
+        number, expected = reference_within(start, whole.poses, whole.is_driven, left)
+        np.testing.assert_array_equal(part.is_driven, np.arange(SIZE) < number)
+        np.testing.assert_allclose(rest, expected, atol=1e-9)
+        ends = np.concatenate([start[None], np.asarray(place(f64(path), f64(start)))])
+        np.testing.assert_allclose(part.poses[-1][:2], ends[number][:2], atol=1e-12)
+        is_cut = number < whole.is_driven.sum()
+        assert (part.collided, part.exited) == ((False, False) if is_cut else (whole.collided, whole.exited))
+
+
+def test_a_simulation_ends_where_the_world_does():
+    pose = (1.5, 1.2, 0.3)
+    world = dataclasses.replace(LIMITED, start=f64(pose), noise=f64(0.0)).reset(jax.random.key(0))
+    belief = field_belief(LIMITED, pose, 5)
+    _, paths = drives(3, seed=2)
+    root, node = LIMITED.root(belief, 3)
+    simulate = jax.jit(lambda key, node: LIMITED.simulate(key, root, node, f64(paths), OBJECTIVES["value"]))
+    found = simulate(jax.random.key(1), node)
+    execute = jax.jit(type(LIMITED).execute)
+    terminated, lefts, taken = [], [], []
+    for path in paths:
+        world, samples, events = execute(LIMITED, jax.random.key(2), world, f64(path))
+        terminated.append(bool(events.terminated))
+        lefts.append(float(world.left))
+        taken.append(int(samples.is_taken.sum()))
+    assert terminated == found.terminated.tolist() and terminated[-1] and not terminated[0]
+    np.testing.assert_allclose(found.node.left, lefts[0], atol=1e-9)
+    assert world.distance <= BUDGET + 1e-9 and lefts[-1] == 0.0
+    # What lies beyond the budget is not paid, as it is with a larger one.
+    is_beyond = np.array(taken) == 0
+    assert is_beyond.any()
+    np.testing.assert_array_equal(np.asarray(found.rewards)[is_beyond], 0.0)
+    wide = dataclasses.replace(node, left=f64(100.0))
+    assert not simulate(jax.random.key(1), wide).terminated.any()
+    assert np.abs(np.asarray(simulate(jax.random.key(1), wide).rewards)[is_beyond]).min() > 0.0
+
+
+def test_without_a_budget_nothing_is_measured():
+    plain = monitoring()
+    assert {"distance", "rmse"}.isdisjoint(column.name for column in plain.step_columns)
+    world = plain.reset(jax.random.key(0))
+    assert world.distance is None and world.left is None
+    assert plain.belief_row(world, plain.prior(jax.random.key(0), world, SIZE)) == {}
+
+
+def test_a_run_ends_with_its_budget_and_its_steps_have_the_errors(tmp_path):
+    config = tmp_path / "survey.yaml"
+    config.write_text(
+        "experiment: planning\nproblem: {kind: monitoring, budget: 3.3, errors_by_step: true, resolution: 9, "
+        "max_steps: 30}\nplanner: {kind: random}\nruns: 3\n"
+    )
+    out = tmp_path / "out"
+    assert main(["run", str(config), "--out", str(out)]) == 0
+    runs, steps = (pq.read_table(out / f"{name}.parquet").to_pydict() for name in ("runs", "steps"))
+    for run, rmse, number in zip(runs["run"], runs["rmse"], runs["steps"], strict=True):
+        own = [index for index, each in enumerate(steps["run"]) if each == run]
+        distance = [steps["distance"][index] for index in own]
+        assert len(own) == number and np.all(np.diff(distance) >= 0.0)
+        assert steps["done"][own[-1]] and 2.3 <= distance[-1] <= 3.3 + 1e-9
+        assert steps["rmse"][own[-1]] == rmse
+    assert (out / "figures" / "errors-by-distance.svg").exists()
