@@ -99,7 +99,7 @@ def tune(
     resume: bool = False,
     **settings: Any,
 ) -> TuningResults:
-    """Search for the best values of numeric settings, as `bojax tune`, and return what was found.
+    """Search for the best values of settings, as `bojax tune`, and return what was found.
 
     The process and the other arguments are those of `bojax.run`; those without a default here have the one of
     the command line.
@@ -107,7 +107,8 @@ def tune(
     Args:
         config: Name of a config, path of a YAML file, or its content as a mapping.
         ranges: Bounds of each tuned setting, by dotted path: `{"planner.exploration": (10, 1000, "log")}`;
-            with `"log"`, values are searched by their logarithm.
+            with `"log"`, values are searched by their logarithm. A list has choices: `{"planner": ["kcbts",
+            "sbo"]}`.
         metric: Column of `runs.parquet` whose mean is the score.
         minimise: Whether less is better.
         budget: Number of runs of the search in all.
@@ -185,12 +186,20 @@ def _start(
 
 
 def _range(key: str, bounds: Any, values: Values) -> str:
-    """A range as a word of the command line, `key=low:high` or `key=low:high:log`."""
+    """A range or choices as a word of the command line: `key=low:high`, `key=low:high:log` or `key=a,b`."""
     given = values.number(bounds, key)
+    if isinstance(bounds, list):
+        words = [each if isinstance(each, str) else values.text(each, (key,), SOURCE) for each in given]
+        if len(words) < 2 or any(set(word) & set(",[]{}\"'") for word in words):
+            raise ConfigError(
+                f"{key}: got {shown(given)}; allowed: at least two numbers, or texts without commas"
+            )
+        return f"{key}={','.join(words)}"
     low, high, *scale = given if isinstance(given, list) and len(given) in (2, 3) else (None, None)
     if not all(isinstance(bound, int | float) for bound in (low, high)) or scale not in ([], ["log"]):
         raise ConfigError(
-            f'{key}: got {shown(given)}; allowed: (low, high) or (low, high, "log"), two numbers'
+            f'{key}: got {shown(given)}; allowed: (low, high) or (low, high, "log"), two numbers, '
+            "or a list of choices"
         )
     return ":".join([f"{key}={low}", str(high), *scale])
 

@@ -1,4 +1,4 @@
-"""`bojax tune`: Bayesian optimisation of the numeric settings of an experiment, in rounds of sweeps."""
+"""`bojax tune`: Bayesian optimisation of settings of an experiment, in rounds of sweeps."""
 
 import argparse
 import re
@@ -24,14 +24,15 @@ _EXAMPLES = """\
   bojax tune parking planner.exploration=0.1:100:log    one setting, searched by its logarithm
   bojax tune mountain-car learner.discount=0.8:1 learner.prior_precision=0.01:10:log \\
              --metric steps_to_goal --minimise --budget 800
+  bojax tune parking planner=kcbts,sbo planner.exploration=1:1000:log    choices are part of the search
   bojax tune my.yaml planner.exploration=1:50 planner.iterations=100 --runs 16
 """
 
 _DESCRIPTION = """\
-Search for the values of numeric settings with the best mean score, by Bayesian optimisation. A round is a
-sweep of --batch points, which run together. key=low:high is a setting to tune, key=low:high:log one whose
-range spans decades; key=value sets any other setting. The settings with the best mean in the model of the
-scores are run again with another seed.
+Search for the settings with the best mean score, by Bayesian optimisation. A round is a sweep of --batch
+points, which run together. key=low:high is a number to tune, key=low:high:log one whose range spans decades,
+key=a,b,c a choice, also between parts; key=value sets any other setting. The settings with the best mean in
+the model of the scores are run again with another seed.
 """
 
 _ALMOST = re.compile(r"=[-+.\d]+[^,:]*:")
@@ -65,7 +66,7 @@ def search(task: Task, args: argparse.Namespace, command: list[str]) -> int:
 def _parser(name: str) -> Parser:
     parser = Parser(
         name,
-        "CONFIG key=low:high ... [key=value ...] [--metric COLUMN] [--minimise]\n"
+        "CONFIG key=low:high|key=a,b ... [key=value ...] [--metric COLUMN] [--minimise]\n"
         "                  [--budget RUNS] [--batch POINTS] [--runs N] [--seed S] [--confirm N] [--out DIR] "
         f"[--resume]{LAUNCHING_USAGE}",
         _DESCRIPTION,
@@ -100,11 +101,6 @@ def checked(args: argparse.Namespace) -> Task:
         raise UsageError(f"bojax tune: got {got}; allowed: one config (bojax list shows the names)")
     if not asked:
         got = next((word for word in overrides if _ALMOST.search(word)), "no range")
-        allowed = f"key=low:high with two numbers, such as {EXAMPLE}"
-        for word in overrides:
-            if "," in word and not set(word) & set("[{"):
-                got = word
-                allowed += "; compare several values by a sweep (axes: {KEY: [...]})"
-                break
+        allowed = f"key=low:high with two numbers, such as {EXAMPLE}, or choices, such as planner=kcbts,sbo"
         raise UsageError(f"bojax tune: got {got}; allowed: {allowed}")
     return make_task(read_source(sources[0]), asked, overrides, args)

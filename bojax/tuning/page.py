@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.optimisation.drawing import draw_progress, draw_slice
-from bojax.optimisation.space import Range
+from bojax.optimisation.space import Axis, Choice
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Recorded, validated
@@ -17,7 +17,7 @@ from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_c
 from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content
-from bojax.tuning.ranges import described
+from bojax.tuning.ranges import axis_from, described
 
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
@@ -25,11 +25,15 @@ TUNING = "tuning.json"
 MOST_RANKED = 50  # number of points in the table
 
 
+Value = bool | float | str
+"""The value of a tuned setting."""
+
+
 class TriedPoint(Recorded):
     """A point of a search."""
 
     round: Count  # from 0
-    values: list[float]  # of each tuned setting
+    values: list[Value]  # of each tuned setting
     score: float | None  # mean of the metric over its runs; None if a run has no finite value
     mean: float  # posterior mean of the metric
     std: float  # posterior standard deviation of the metric without noise
@@ -38,7 +42,7 @@ class TriedPoint(Recorded):
 class Slice(Recorded):
     """The posterior over one setting, the others as at the best point."""
 
-    values: list[float]
+    values: list[Value]
     mean: list[float]
     std: list[float]
 
@@ -68,9 +72,9 @@ class Tuning(Recorded):
     confirmed: str | None
 
     @property
-    def ranges(self) -> list[Range]:
+    def ranges(self) -> list[Axis]:
         """The tuned settings."""
-        return [Range(**each) for each in self.plan.settings.values()]
+        return [axis_from(each) for each in self.plan.settings.values()]
 
     @property
     def measure(self) -> Measure:
@@ -94,7 +98,7 @@ def read_tuning(folder: Path) -> Tuning:
     tuning = validated(Tuning, read_json(path), str(path))
     try:
         _ = tuning.ranges, tuning.best
-    except (TypeError, IndexError) as error:
+    except (TypeError, KeyError, IndexError) as error:
         raise ResultsError(f"{path}: is damaged: delete it, and resume the search") from error
     return tuning
 
@@ -161,7 +165,7 @@ def _confirmed(tuning: Tuning, fresh: Results) -> Table:
     for standing in standings:
         values = [standing.point.swept[key] for key in keys]
         expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
-        place = expected.get(tuple(map(float, values)))
+        place = expected.get(tuple(values))  # whole numbers are equal as integers and as floats
         name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
         cells = [Cell(name, key=place or ""), *score_cells(standing, standings[0])]
         rows.append([*cells, *map(setting_cell, values)])
@@ -193,7 +197,9 @@ def _ranked(tuning: Tuning) -> Table:
     return Table.ranked(headings, rows, caption)
 
 
-def _range(each: Range) -> str:
+def _range(each: Axis) -> str:
+    if isinstance(each, Choice):
+        return f"one of {', '.join(map(plain, each.values))}"
     scale = ", by its logarithm" if each.is_log else ""
     return f"{each.low:g} to {each.high:g}{scale}{', an integer' if each.is_integer else ''}"
 

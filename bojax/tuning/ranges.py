@@ -1,4 +1,4 @@
-"""The settings that a search varies, and their ranges: `key=low:high` or `key=low:high:log`."""
+"""The settings that a search varies: `key=low:high`, `key=low:high:log`, or choices, `key=a,b,c`."""
 
 import math
 import re
@@ -10,71 +10,107 @@ from bojax.config.component import Component
 from bojax.config.errors import ConfigError
 from bojax.config.overrides import SOURCE, parse_overrides
 from bojax.config.settings import RESERVED
-from bojax.optimisation.space import Range
+from bojax.optimisation.space import Axis, Choice, Range
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"(?P<key>[^=]+)=(?P<low>{_NUMBER}):(?P<high>{_NUMBER})(?P<log>:log)?")
+_CHOICES = re.compile(r"(?P<key>[^=]+)=(?P<values>[^\[\]{}\"']*,[^\[\]{}\"']*)")
+"""Choices; a value in brackets or quotes is a list, a mapping or a text."""
 
 EXAMPLE = "planner.exploration=0.1:10:log"
 
 
 class Asked(NamedTuple):
-    """A range as given, with bounds as text, and whether values are searched by their logarithm."""
+    """A range or choices as given: the two bounds or the choices as text."""
 
     key: str
-    low: str
-    high: str
-    is_log: bool
+    values: tuple[str, ...]
+    is_choice: bool
+    is_log: bool = False  # whether a range is searched by the logarithm
+
+    @property
+    def text(self) -> str:
+        """The values as they were given."""
+        return ("," if self.is_choice else ":").join(self.values)
 
 
 def split_ranges(words: Iterable[str]) -> tuple[list[Asked], list[str]]:
-    """The ranges among the words of a command line, and the other words.
+    """The ranges and choices among the words of a command line, and the other words.
 
     Raises:
-        ConfigError: The bounds are in the wrong order, or not positive for `log`; a key cannot be tuned, or
-            is given twice.
+        ConfigError: The bounds are in the wrong order, or not positive for `log`; choices are empty or equal;
+            a key cannot be tuned, or is given twice.
     """
     asked, others = [], []
     for word in words:
         if match := _RANGE.fullmatch(word):
-            asked.append(Asked(match["key"].strip(), match["low"], match["high"], match["log"] is not None))
+            bounds = match["low"], match["high"]
+            asked.append(
+                Asked(match["key"].strip(), bounds, is_choice=False, is_log=match["log"] is not None)
+            )
+        elif match := _CHOICES.fullmatch(word):
+            choices = tuple(value.strip() for value in match["values"].split(","))
+            asked.append(Asked(match["key"].strip(), choices, is_choice=True))
         else:
             others.append(word)
     for each in asked:
-        got = f"{SOURCE}: {each.key}: got {each.low}:{each.high}; allowed: "
-        low, high = float(each.low), float(each.high)
+        got = f"{SOURCE}: {each.key}: got {each.text}; allowed: "
         if (first := each.key.partition(".")[0]) in (*RESERVED, "experiment"):
             raise ConfigError(f"{got}settings of the experiment; {first} cannot be tuned")
+        if each.is_choice:
+            if "" in each.values or len(set(each.values)) < len(each.values):
+                raise ConfigError(f"{got}choices that differ, such as planner=kcbts,sbo")
+            continue
+        low, high = map(float, each.values)
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ConfigError(f"{got}low:high with low < high, both finite")
         if each.is_log and low <= 0.0:
             raise ConfigError(f"{got}low > 0, for log")
-    parse_overrides([f"{each.key}={each.low}" for each in asked])  # refuses a key that is given twice
+    parse_overrides([f"{each.key}={each.values[0]}" for each in asked])  # refuses a key that is given twice
     return asked, others
 
 
-def range_of(asked: Asked, at_low: Component, at_high: Component) -> Range:
-    """The range, given the validated experiments at its bounds.
+def axis_of(asked: Asked, configs: Sequence[Component]) -> Axis:
+    """The range or the choices, given the validated experiments with each of its values.
 
     Raises:
-        ConfigError: The setting is not a number.
+        ConfigError: The setting is not a number, or for choices neither a number, a text nor a part.
     """
-    low, high = (value_at(config, asked.key) for config in (at_low, at_high))
-    if low is None or high is None:
-        raise ConfigError(
-            f"{SOURCE}: {asked.key}: got {asked.low}:{asked.high}; allowed: the range of a number, "
-            f"such as {EXAMPLE}"
-        )
+    values = [value_at(config, asked.key) for config in configs]
+    got = f"{SOURCE}: {asked.key}: got {asked.text}; allowed: "
+    if asked.is_choice:
+        if None in values:
+            raise ConfigError(f"{got}choices of a number, a text, true and false, or a part")
+        if len(set(values)) < len(values):
+            raise ConfigError(f"{got}choices that differ, such as planner=kcbts,sbo")
+        return Choice(asked.key, tuple(values))
+    low, high = values
+    if not (_is_number(low) and _is_number(high)):
+        raise ConfigError(f"{got}the range of a number, such as {EXAMPLE}")
     is_integer = isinstance(low, int) and isinstance(high, int)
     return Range(asked.key, low, high, asked.is_log, is_integer)
 
 
-def value_at(config: Component, key: str) -> int | float | None:
-    """The number at a dotted path; None if the setting is not a number."""
+def axis_from(content: dict[str, Any]) -> Axis:
+    """An axis from its fields, as files of a search have them."""
+    if "values" in content:
+        return Choice(content["key"], tuple(content["values"]))
+    return Range(**content)
+
+
+def value_at(config: Component, key: str) -> Any:
+    """The number, text or Boolean at a dotted path, or the kind of the part there; None for anything else."""
     value: Any = reduce(lambda part, name: getattr(part, name, None), key.split("."), config)
-    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+    if isinstance(value, Component):
+        return getattr(value, "kind", None)
+    return value if isinstance(value, int | float | str) else None
 
 
-def described(ranges: Sequence[Range], values: Sequence[int | float]) -> str:
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def described(axes: Sequence[Axis], values: Sequence[Any]) -> str:
     """Values with their keys, in one line."""
-    return ", ".join(f"{each.key} {value:g}" for each, value in zip(ranges, values, strict=True))
+    shown = (f"{value:g}" if _is_number(value) else str(value) for value in values)
+    return ", ".join(f"{each.key} {text}" for each, text in zip(axes, shown, strict=True))

@@ -13,8 +13,8 @@ from bojax.config.settings import Platform
 from bojax.config.sweep import Sweep, load_config, load_sweep
 from bojax.config.sweep_file import Source
 from bojax.engine.resolve import resolved
-from bojax.optimisation.space import Range
-from bojax.tuning.ranges import Asked, range_of
+from bojax.optimisation.space import Axis
+from bojax.tuning.ranges import Asked, axis_of
 
 MOST_POINTS = 1000
 """Maximum number of points of a search: the time of the model grows with their cube."""
@@ -25,7 +25,7 @@ class Task:
     """A search that was checked."""
 
     config: Sweep  # the experiment, a sweep of one point
-    ranges: tuple[Range, ...]  # the tuned settings
+    ranges: tuple[Axis, ...]  # the tuned settings
     column: str  # column of `runs.parquet` whose mean is the score
     is_least: bool  # whether less is better
     batch: int  # number of points of a round
@@ -38,7 +38,7 @@ class Task:
         """Everything that the proposals and the scores depend on; a search resumes with equal content."""
         return {
             "config": self.config.base,
-            "settings": {each.key: dataclasses.asdict(each) for each in self.ranges},
+            "settings": {each.key: _fields(each) for each in self.ranges},
             "metric": self.column,
             "minimise": self.is_least,
             "batch": self.batch,
@@ -46,7 +46,7 @@ class Task:
             "seed": self.config.seed,
         }
 
-    def sweep(self, points: Sequence[Sequence[int | float]], name: str, **settings: Any) -> Sweep:
+    def sweep(self, points: Sequence[Sequence[Any]], name: str, **settings: Any) -> Sweep:
         """A sweep of the experiment over values of the tuned settings, in the order of the points."""
         config, keys = self.config, [each.key for each in self.ranges]
         content = {
@@ -64,6 +64,12 @@ class Task:
         return resolved(dataclasses.replace(sweep, name=name, source=config.source))
 
 
+def _fields(axis: Axis) -> dict[str, Any]:
+    """The fields of an axis as JSON has them."""
+    fields = dataclasses.asdict(axis).items()
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in fields}
+
+
 def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], options: Namespace) -> Task:
     """Check a search with the options of `bojax tune`.
 
@@ -75,8 +81,19 @@ def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], 
         return resolved(load_config(source, [*overrides, *changes], options.runs, options.seed))
 
     config = at()
-    ends = [[at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked]
-    ranges = tuple(range_of(each, *configs) for each, configs in zip(asked, ends, strict=True))
+    # A part comes before its settings, which it would overwrite in a sweep.
+    asked = sorted(asked, key=lambda each: each.key.count("."))
+    # A setting may exist with some parts only: each value is checked beside the first ones of the others.
+    firsts = {each.key: each.values[0] for each in asked}
+    ends = [
+        [
+            at(*(f"{key}={value}" for key, value in {**firsts, each.key: given}.items()))
+            for given in each.values
+        ]
+        for each in asked
+    ]
+    ends = [[sweep.points[0].config for sweep in sweeps] for sweeps in ends]
+    ranges = tuple(axis_of(each, configs) for each, configs in zip(asked, ends, strict=True))
     rounds = _rounds(options.budget, options.batch, config.runs)
     # With a launcher, this process leaves the accelerators to workers.
     device = config.engine.device if options.launcher == "inline" else "cpu"
@@ -121,9 +138,9 @@ def _metric(asked: str | None, config: Sweep, device: Platform) -> str:
 
 
 def _recompiled(
-    ranges: Sequence[Range], ends: Sequence[Sequence[Component]], device: Platform
+    ranges: Sequence[Axis], ends: Sequence[Sequence[Component]], device: Platform
 ) -> tuple[str, ...]:
-    """The keys whose values at both bounds are different programs."""
+    """The keys whose choices, or values at both bounds, are different programs."""
     from bojax.engine.groups import static_groups
 
     return tuple(

@@ -124,6 +124,11 @@ MISTAKES = [
     (lambda: bojax.run(CONFIG, resume=True), "no unfinished sweep to resume"),
     (lambda: bojax.run({**CONFIG, "env": int}), 'got "builtins:int"; the class does not implement'),
     (lambda: bojax.tune(CONFIG, {DISCOUNT: 1}), "learner.discount: got 1; allowed: .low, high"),
+    (
+        lambda: bojax.tune(CONFIG, {DISCOUNT: [0.5]}),
+        "learner.discount: got .*; allowed: at least two numbers",
+    ),
+    (lambda: bojax.tune(CONFIG, {"learner": ["additive", "aditive"]}), 'got "aditive"; unknown learner'),
     (lambda: bojax.tune(CONFIG, {DISCOUNT: (1, 0.5)}), "got 1:0.5; allowed: low:high with low"),
     (lambda: bojax.tune(CONFIG, {DISCOUNT: (0.5, 1)}, budget=3), "--budget: got 3; allowed: >="),
     (lambda: bojax.tune("chian", {DISCOUNT: (0.5, 1)}), 'did you mean "chain"'),

@@ -300,6 +300,18 @@ chain learner.kappa=0:1 --runs 0
 => command line: runs: got 0; allowed: >= 1
 chain learner.kappa=3
 => bojax tune: got no range; allowed: key=low:high
+chain learner=additive,
+=> command line: learner: got additive,; allowed: choices that differ
+chain learner=additive,aditive
+=> command line: learner: got "aditive"; unknown learner
+chain learner.kappa=1,1.0
+=> command line: learner.kappa: got 1,1.0; allowed: choices that differ
+chain env.length=4,5.5
+=> command line: env.length: got 5.5; allowed: an integer
+chain learner=additive,epsilon-greedy learner.xi=0.1:1
+=> command line: learner.xi: unknown key
+chain seed=1,2
+=> command line: seed: got 1,2; allowed: settings of the experiment
 chain learner.kappa=0:x
 => bojax tune: got learner.kappa=0:x; allowed: key=low:high with two
 chain 'env={kind: chain}'
@@ -313,6 +325,36 @@ chian learner.kappa=0:1
 swept.yaml learner.kappa=0:1
 => swept.yaml: is a sweep, not an experiment
 """
+
+
+def test_choices_of_parts_and_texts_are_part_of_the_search(tmp_path, capsys):
+    """A learner, a rule for ties and a rate, which all learners have, are searched together."""
+    words = [
+        "learner.learning_rate=0.1:1",
+        "learner=exploration-values,additive",
+        "learner.ties=random,first",
+        *CHAIN[:-1],
+        *OPTIONS,
+    ]
+    assert main(["tune", *words, "--budget", "36", "--out", str(tmp_path / "search")]) == 0
+    tuning = read_tuning(tmp_path / "search")
+    kinds = {axis.key: getattr(axis, "values", None) for axis in tuning.ranges}
+    choices = {"learner": ("exploration-values", "additive"), "learner.ties": ("random", "first")}
+    assert kinds == {"learner.learning_rate": None, **choices} and next(iter(kinds)) == "learner"
+    assert len(tuning.points) == 9 and len({tuple(point.values) for point in tuning.points}) == 9
+    for point in tuning.points:
+        sweep = load(tmp_path / "search" / "rounds" / f"{point.round:03d}")
+        (run,) = (each for each in sweep.points if list(each.swept.values()) == point.values)
+        assert run.label == point.values[0] and run.config["learner"]["ties"] == point.values[2]
+    best = yaml.safe_load((tmp_path / "search" / "best.yaml").read_text())
+    learner, rate, ties = tuning.best.values
+    assert best["learner"]["kind"] == learner and best["learner"]["ties"] == ties
+    assert best["learner"]["learning_rate"] == rate
+    assert tuning.slices[0].values == ["exploration-values", "additive"]
+    page = (tmp_path / "search" / "report.html").read_text()
+    assert "one of exploration-values, additive" in page and "as written in the config" in page
+    finished = TuningResults(tmp_path / "search").points
+    assert set(finished["learner"].to_pylist()) <= {"exploration-values", "additive"}
 
 
 def test_mistakes(tmp_path, monkeypatch, capsys):
