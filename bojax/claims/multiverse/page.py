@@ -33,9 +33,11 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
             if (drawing := figures.claim_curve(multiverse, claim)) is not None:
                 curves[f"claim-{number:03d}"] = drawing.encoded()
     make_folder(page.parent)
-    kinds = ("svg",) if page.suffix == ".md" else ("svg", "png")
+    # A page in Markdown shows the files themselves, in dark mode too; one in HTML has its own copies.
     images = {
-        f"{multiverse.name}-{name}": {kind: each.files[kind] for kind in kinds}
+        f"{multiverse.name}-{name}": (
+            {"svg": style.adapted(each.files["svg"])} if page.suffix == ".md" else each.files
+        )
         for name, each in {**drawings, **curves}.items()
     }
     style.write_images(page.parent, images)
