@@ -11,6 +11,7 @@ from bojax.surveys.model import FieldModel
 from bojax.surveys.place import Place
 from bojax.surveys.planning import Candidate, Demand, Survey
 from bojax.surveys.shapes import rings_of, to_shape
+from bojax.surveys.simulated import write_simulation
 from bojax.surveys.team import least_distance
 from bojax.surveys.waypoints import write_waypoints
 
@@ -24,7 +25,9 @@ def write_survey(
     speed: float | None,
     command: str,
 ) -> list[Path]:
-    """Write the waypoints of the proposed route, and what a page needs, and return the paths of the former.
+    """Write the waypoints of the proposed route, a simulation of it, and what a page needs.
+
+    The paths of all but the last are returned.
 
     `survey.json` holds the candidates, the model and the settings; `survey.npz` the map: `grid [M, 2]`, the
     standard deviations `before [M]` and `after [M]`, the `weights [M]` of the goal, and the border,
@@ -62,7 +65,7 @@ def write_survey(
         "provenance": {"command": command, "bojax": __version__},
     }
     write_json(folder / "survey.json", content)
-    return files
+    return files + write_simulation(folder, place, model, survey, demand)
 
 
 def _settings(

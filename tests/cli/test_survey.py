@@ -5,6 +5,7 @@ import json
 from functools import partial
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 shapely = pytest.importorskip("shapely")
@@ -12,6 +13,7 @@ pytest.importorskip("pyproj")
 pytest.importorskip("rasterio")
 
 from bojax.cli.main import main  # noqa: E402
+from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.surveys import planning  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
@@ -212,3 +214,14 @@ def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, capsys):
     ):
         assert main(["survey", "100x100", "--prior", file]) == 2
         assert f"error: {file}: {message}" in capsys.readouterr().err
+
+
+def test_the_config_of_a_survey_runs_as_it_is(tmp_path):
+    out, runs = tmp_path / "survey", tmp_path / "runs"
+    words = ["--budget", "500", "--lengthscale", "60", "--start", "20,30", "--lawnmower"]
+    assert main(["survey", "300x200", *words, "--out", str(out)]) == 0
+    changed = ["planner=random", "planner.motions.length=60", "planner.motions.num_samples=5"]
+    assert main(["run", str(out / "simulation.yaml"), *changed, "--runs", "2", "--out", str(runs)]) == 0
+    steps = pq.read_table(runs / "steps.parquet").to_pydict()
+    assert 400.0 < max(steps["distance"]) <= 500.0 + 1e-6
+    assert read_mapping(out / "simulation.yaml", "")["problem"]["start"] == [20.0, 30.0, 0.0]
