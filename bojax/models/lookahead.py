@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from bojax.models import lookahead_kernels as kernels
 from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.information import Places
 from bojax.numerics.linalg import guarded_cholesky, matmul
 from bojax.numerics.pallas import either
 
@@ -29,16 +30,18 @@ class LookaheadRoot(eqx.Module):
         posterior: Belief at the root.
         whitened: L^-1 (y - m(X)).
         weights: (K + noise)^-1 (y - m(X)).
+        places: Places whose variance counts; None if nothing asks for them.
     """
 
     posterior: GaussianProcess
     whitened: Float[Array, "N"]
     weights: Float[Array, "N"]
+    places: Places | None = None
 
     @classmethod
-    def of(cls, posterior: GaussianProcess) -> "LookaheadRoot":
+    def of(cls, posterior: GaussianProcess, places: Places | None = None) -> "LookaheadRoot":
         """The root of a plan with this posterior."""
-        return cls(posterior, posterior.whitened_residuals(), posterior.weights())
+        return cls(posterior, posterior.whitened_residuals(), posterior.weights(), places)
 
 
 class Lookahead(eqx.Module):

@@ -23,7 +23,7 @@ class MyopicPlanner(PathPlanner[DiscreteMotions]):
     @override
     def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:
         paths = self.motions.paths()
-        root, node = problem.root(belief, 1)
+        root, node = problem.with_objective(self.objective).root(belief, 1)
 
         def reward(key, path):
             return problem.simulate(key, root, node, path[None], self.objective).rewards[0]

@@ -119,7 +119,7 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         """The tree and the planner's memory after all iterations."""
         dtype = self.discount.dtype
         key_begin, key_simulate = jax.random.split(key)
-        root, root_node = problem.root(belief, self.depth)
+        root, root_node = problem.with_objective(self.objective).root(belief, self.depth)
         tree = Tree.rooted(root_node, self.iterations + 1, self.num_actions, dtype)
         memory, draws = self.begin(key_begin, dtype)
         # Every node starts with the root's view as a placeholder: its own is computed in the iteration after

@@ -1,6 +1,7 @@
 """Learning a field from noisy samples along trajectories: all of the problem but its scores."""
 
 import abc
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -13,11 +14,13 @@ from bojax.fields.base import Field
 from bojax.models.checks import check_takes
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.information import Places, explained_variance
 from bojax.models.kernels import Kernel
 from bojax.models.lookahead import LookaheadRoot
 from bojax.models.means import Mean
 from bojax.motions.base import Path, Pose
 from bojax.numerics.lanes import any_lane
+from bojax.numerics.linalg import matmul
 from bojax.problems.arena import Arena
 from bojax.problems.field_belief import FieldBelief, Samples
 from bojax.problems.field_errors import ERROR_COLUMNS, Weighting, field_errors
@@ -31,6 +34,8 @@ from bojax.results.schema import Column, Table
 
 FILM_RESOLUTION = 31
 """Largest number of grid points per side at which the belief after every step is recorded."""
+
+PLACES = 15  # points per side at which the variance of the domain is integrated
 
 RELEARN_STARTS = 2  # number of starts of hyper-parameter learning: the current values, and a draw around them
 
@@ -255,6 +260,11 @@ class FieldProblem(PathProblem):
         """Rewards of the samples taken, under the belief before the path, plus the cost of the path."""
         objective = self.objective if objective is None else objective
         points = events.driven[:, :2]
+        if objective.is_elsewhere:
+            posterior = belief.posterior
+            places = self._places(posterior)
+            explained = explained_variance(posterior, places, points, events.is_driven)
+            return events.reward + jnp.sum(matmul(explained, places.weights))
         mean, variance = belief.posterior.predict(points)
         gradient = belief.posterior.predict_gradient(points) if objective.needs_gradient else None
         rewards = objective(mean, variance, gradient)
@@ -262,9 +272,19 @@ class FieldProblem(PathProblem):
 
     @override
     def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:
-        """The factored posterior, and the root node."""
+        """The factored posterior, and the root node; for an objective elsewhere, with the places."""
         node = root_node(belief.pose, horizon, belief.num_samples, self.domain.dtype, belief.left)
-        return LookaheadRoot.of(belief.posterior), node
+        places = self._places(belief.posterior) if self.objective.is_elsewhere else None
+        return LookaheadRoot.of(belief.posterior, places), node
+
+    @override
+    def with_objective(self, objective: FieldObjective | None) -> "FieldProblem":
+        return self if objective is None else replace(self, objective=objective)
+
+    def _places(self, posterior: GaussianProcess) -> Places:
+        """Points of the domain without its walls, for `InformationObjective`."""
+        points = self.arena.grid(PLACES)
+        return Places.of(posterior, points, self.arena.is_free(points).astype(points.dtype))
 
     @override
     def simulate(

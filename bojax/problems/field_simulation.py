@@ -7,8 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from bojax.models.information import explained_variance
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.motions.base import Pose
+from bojax.numerics.linalg import matmul
 from bojax.problems.arena import Arena
 from bojax.problems.objectives import FieldObjective
 from bojax.problems.path_problem import Simulation
@@ -123,12 +125,16 @@ def simulate_paths(
     ]
     all_samples = FieldNode.of(pose, node.level, _choose(node.level, by_level))
     is_taken = all_samples.is_taken
-    ahead = look_ahead(
-        root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
-    )
     # The reward of a stage is the sum over its samples, under the belief before it (3.2, 4.11). The
     # look-ahead also holds the stages before the node: the paths are paid from the node's level on.
-    gains = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
+    if objective.is_elsewhere and root.places is not None:
+        explained = explained_variance(root.posterior, root.places, all_samples.points, is_taken)
+        gains = matmul(explained, root.places.weights)
+    else:
+        ahead = look_ahead(
+            root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
+        )
+        gains = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
     by_stage = jnp.pad(jnp.sum(gains.reshape(horizon, size), axis=-1), (0, num_paths))
     paid = _choose(node.level, [by_stage[level : level + num_paths] for level in range(horizon)])
     rewards = paid + jnp.stack([arena.cost(drive) for drive in drives])

@@ -17,9 +17,12 @@ class FieldObjective(eqx.Module):
 
     Attributes:
         needs_gradient: Whether the gradient of the mean is needed; it is computed only then.
+        is_elsewhere: Whether a sample is rewarded for what it says about the whole domain, and not for its
+            own place: the problem then computes the rewards, see `InformationObjective`.
     """
 
     needs_gradient: ClassVar[bool] = False
+    is_elsewhere: ClassVar[bool] = False
 
     @abc.abstractmethod
     def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
@@ -81,3 +84,20 @@ class UncertaintyObjective(FieldObjective):
     @override
     def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
         return _spread(variance, self.uncertainty)
+
+
+class InformationObjective(FieldObjective):
+    """Reduction of the mean variance over the domain by each sample, given those before it.
+
+    The sum over a path is what the path reduces; samples close together are not counted twice. It is the
+    criterion of A-optimal designs, and of active learning by Cohn (1996), Neural network exploration using
+    optimal experiment design, as an integral over the domain without its walls.
+
+    Settings: `bojax.problems.settings.Information`.
+    """
+
+    is_elsewhere: ClassVar[bool] = True
+
+    @override
+    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
+        raise TypeError("information: the reward of a sample does not follow from its moments alone")

@@ -105,6 +105,10 @@ class PathProblem(Problem):
 
     scores: ClassVar[Table] = ()
 
+    def with_objective(self, objective: Objective) -> "PathProblem":
+        """The problem with what `root` prepares for the objective of a planner; itself by default."""
+        return self
+
     @abc.abstractmethod
     def root(self, belief: Belief, horizon: int) -> tuple[Root, Node]:
         """The data shared by the nodes of a plan, and the root node."""

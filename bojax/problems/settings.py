@@ -22,12 +22,14 @@ class ObjectiveSettings(Component, frozen=True):
     plural: ClassVar[str] = "objectives of field problems"
     protocol: ClassVar[str] = "bojax.problems.objectives:FieldObjective"
 
+
+class _OfUncertainty(ObjectiveSettings, frozen=True):
     uncertainty: Literal["std", "variance"] = Field(
         default="std", description="measure of uncertainty: standard deviation or variance"
     )
 
 
-class Gradient(ObjectiveSettings, frozen=True):
+class Gradient(_OfUncertainty, frozen=True):
     """Norm of the gradient plus kappa standard deviations (thesis, equation 3.2)."""
 
     target: ClassVar[str] = "bojax.problems.objectives:GradientObjective"
@@ -35,7 +37,7 @@ class Gradient(ObjectiveSettings, frozen=True):
     kappa: float = Field(default=5.0, ge=0, description="weight of the uncertainty")
 
 
-class Value(ObjectiveSettings, frozen=True):
+class Value(_OfUncertainty, frozen=True):
     """Mean plus kappa standard deviations (thesis, equation 4.11; SBO)."""
 
     target: ClassVar[str] = "bojax.problems.objectives:ValueObjective"
@@ -43,11 +45,18 @@ class Value(ObjectiveSettings, frozen=True):
     kappa: float = Field(default=10.0, ge=0, description="weight of the uncertainty")
 
 
-class Uncertainty(ObjectiveSettings, frozen=True):
+class Uncertainty(_OfUncertainty, frozen=True):
     """The standard deviation alone (thesis, Section 3.5.1: the explorer)."""
 
     target: ClassVar[str] = "bojax.problems.objectives:UncertaintyObjective"
     kind: Literal["uncertainty"] = "uncertainty"
+
+
+class Information(ObjectiveSettings, frozen=True):
+    """Reduction of the mean variance over the domain; samples close together do not count twice."""
+
+    target: ClassVar[str] = "bojax.problems.objectives:InformationObjective"
+    kind: Literal["information"] = "information"
 
 
 class SensorSettings(Component, frozen=True):

@@ -1,9 +1,7 @@
 """What a route teaches about a field: the posterior deviation over an area after the samples of a polyline.
 
 The posterior variance of a Gaussian process does not depend on the measured values, so the error that a
-route leaves is known before it is driven. With samples Z of the route and data X already observed, the
-variance at a point g falls by |B^-1 c(Z, g)|^2, where c is the posterior covariance given X and
-B B' = c(Z, Z) + noise.
+route leaves is known before it is driven (`bojax.models.information`).
 """
 
 import equinox as eqx
@@ -12,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Scalar
 
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.numerics.linalg import inverse_cholesky, matmul
+from bojax.models.information import Places, explained_variance
+from bojax.numerics.linalg import matmul
 
 LEAST_VARIANCE = 1e-12
 """Share of the variance below which a posterior variance has no gradient, as its root has an infinite one."""
@@ -97,26 +96,9 @@ class PointErrors(eqx.Module):
         is_taken: Bool[Array, "S"],
         samples_per_point: Float[Array, ""] | float = 1.0,
     ) -> Float[Array, "S M"]:
-        """Reduction of the variance at each grid point by each sample, given those before it.
-
-        A sample that is not taken explains nothing.
-
-        Args:
-            samples: Their positions, in the order in which they are taken.
-            is_taken: Whether each is taken.
-            samples_per_point: Number of measurements that one sample stands for: its noise variance is
-                divided by it.
-        """
-        posterior, kernel = self.posterior, self.posterior.kernel
-        whitened = posterior.whiten(samples)
-        both = is_taken[:, None] & is_taken[None, :]
-        covariance = kernel.gram(samples, samples) - matmul(whitened.T, whitened)
-        noise = jnp.where(is_taken, posterior.noise(samples) / samples_per_point, 1.0)
-        # A sample that is not taken becomes independent of the others, with a covariance of 0 with the grid.
-        joint = jnp.where(both, covariance, 0.0) + jnp.diag(noise)
-        with_grid = kernel.gram(samples, self.grid) - matmul(whitened.T, self.whitened)
-        with_grid = jnp.where(is_taken[:, None], with_grid, 0.0)
-        return matmul(inverse_cholesky(joint), with_grid) ** 2
+        """Reduction of the variance at each grid point by each sample, see `explained_variance`."""
+        places = Places(self.grid, self.weights, self.whitened)
+        return explained_variance(self.posterior, places, samples, is_taken, samples_per_point)
 
     def mean_deviation(self, variance: Float[Array, "*T M"]) -> Float[Array, "*T"]:
         """Weighted mean of the standard deviations."""

@@ -1,0 +1,64 @@
+"""What observations say about places elsewhere: the reduction of the variance of a Gaussian process there.
+
+It does not depend on the observed values. With data X, an observation set Z and a place g, the variance at g
+falls by |B^-1 c(Z, g)|^2, where c is the posterior covariance given X and B B' = c(Z, Z) + noise: row i of
+B^-1 c(Z, g) is what observation i explains, given those before it.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.numerics.linalg import inverse_cholesky, matmul
+
+
+class Places(eqx.Module):
+    """Places whose variance counts, prepared for many sets of observations.
+
+    Attributes:
+        points: Their positions.
+        weights: Their weights, which sum to 1.
+        whitened: L^-1 k(X, points).
+    """
+
+    points: Float[Array, "M D"]
+    weights: Float[Array, "M"]
+    whitened: Float[Array, "N M"]
+
+    @classmethod
+    def of(
+        cls, posterior: GaussianProcess, points: Float[Array, "M D"], weights: Float[Array, "M"]
+    ) -> "Places":
+        """These places under a belief; the weights need not sum to 1."""
+        return cls(points, weights / jnp.sum(weights), posterior.whiten(points))
+
+
+def explained_variance(
+    posterior: GaussianProcess,
+    places: Places,
+    samples: Float[Array, "S D"],
+    is_taken: Bool[Array, "S"],
+    samples_per_point: Float[Array, ""] | float = 1.0,
+) -> Float[Array, "S M"]:
+    """Reduction of the variance at each place by each sample, given those before it.
+
+    A sample that is not taken explains nothing.
+
+    Args:
+        posterior: The belief before the samples.
+        places: The places.
+        samples: Positions of the samples, in the order in which they are taken.
+        is_taken: Whether each is taken.
+        samples_per_point: Number of measurements that one sample stands for: its noise variance is divided
+            by it.
+    """
+    kernel, whitened = posterior.kernel, posterior.whiten(samples)
+    both = is_taken[:, None] & is_taken[None, :]
+    covariance = kernel.gram(samples, samples) - matmul(whitened.T, whitened)
+    noise = jnp.where(is_taken, posterior.noise(samples) / samples_per_point, 1.0)
+    # A sample that is not taken becomes independent of the others, with a covariance of 0 with the places.
+    joint = jnp.where(both, covariance, 0.0) + jnp.diag(noise)
+    across = kernel.gram(samples, places.points) - matmul(whitened.T, places.whitened)
+    across = jnp.where(is_taken[:, None], across, 0.0)
+    return matmul(inverse_cholesky(joint), across) ** 2

@@ -1,0 +1,97 @@
+"""The objective `information` pays the fall of the mean variance over the domain, as a refit gives it."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from bojax.problems.field_problem import PLACES
+from bojax.problems.objectives import InformationObjective
+from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
+from tests.problems.test_monitoring import SIZE, drives
+
+INFORMATION = InformationObjective()
+PROBLEM = dataclasses.replace(monitoring(), objective=INFORMATION)
+POSE = (0.5, 1.2, 0.5)
+
+
+def kernel(first, second):
+    """The kernel of `monitoring`: variance 0.8, lengthscale 0.6."""
+    squared = np.sum((first[:, None] - second[None]) ** 2, axis=-1)
+    return 0.8 * np.exp(-0.5 * squared / 0.6**2)
+
+
+def mean_variance(x):
+    """Mean posterior variance over the free points of the domain after samples at `x`."""
+    grid = PROBLEM.arena.grid(PLACES)
+    points = np.asarray(grid)[np.asarray(PROBLEM.arena.is_free(grid))]
+    gram = kernel(x, x) + 0.01 * np.eye(len(x))
+    return float(
+        np.mean(0.8 - np.sum(kernel(points, x) * np.linalg.solve(gram, kernel(x, points)).T, axis=1))
+    )
+
+
+def driven(paths):
+    """The samples of paths driven one after the other, and whether each is taken."""
+    pose, found = f64(POSE), []
+    for path in paths:
+        drive = PROBLEM.arena.drive(pose, f64(path))
+        found.append(np.asarray(drive.poses[:, :2])[np.asarray(drive.is_driven)])
+        pose = PROBLEM.arena.end(drive)
+    return found
+
+
+def test_rewards_are_what_a_refit_with_the_samples_reduces():
+    belief = field_belief(PROBLEM, POSE, 5)
+    x = np.asarray(belief.posterior.x)[:5]
+    _, paths = drives(3, seed=4)
+    root, node = PROBLEM.root(belief, 3)
+    simulate = jax.jit(lambda key: PROBLEM.simulate(key, root, node, f64(paths), None).rewards)
+    costs = []
+    expected, pose = [], f64(POSE)
+    for samples, path in zip(driven(paths), paths, strict=True):
+        before = mean_variance(x)
+        x = np.concatenate([x, samples])
+        expected.append(before - mean_variance(x))
+        drive = PROBLEM.arena.drive(pose, f64(path))
+        costs.append(float(PROBLEM.arena.cost(drive)))
+        pose = PROBLEM.arena.end(drive)
+    found = np.asarray(simulate(jax.random.key(0)))
+    np.testing.assert_allclose(found - costs, expected, atol=1e-9)
+    assert min(expected) > 0.0
+
+
+def test_the_world_pays_the_same_for_the_first_path():
+    belief = field_belief(PROBLEM, POSE, 5)
+    world = dataclasses.replace(PROBLEM, start=f64(POSE)).reset(jax.random.key(0))
+    _, paths = drives(3, seed=4)
+    _, _, events = jax.jit(type(PROBLEM).execute)(PROBLEM, jax.random.key(1), world, f64(paths[0]))
+    root, node = PROBLEM.root(belief, 1)
+    imagined = PROBLEM.simulate(jax.random.key(2), root, node, f64(paths[:1]), None).rewards[0]
+    paid = PROBLEM.reward(None, belief, f64(paths[0]), events)
+    assert float(paid) == pytest.approx(float(imagined), abs=1e-12)
+
+
+def test_a_planner_may_plan_for_information_in_another_task():
+    problem = monitoring()
+    belief = field_belief(problem, POSE, 5)
+    _, paths = drives(1, seed=1)
+    root, node = problem.with_objective(INFORMATION).root(belief, 2)
+    found = problem.simulate(jax.random.key(0), root, node, f64(paths), INFORMATION).rewards
+    expected = PROBLEM.simulate(jax.random.key(0), *PROBLEM.root(belief, 2), f64(paths), None).rewards
+    np.testing.assert_array_equal(found, expected)
+    assert problem.with_objective(None) is problem
+    assert problem.with_objective(OBJECTIVES["value"]).root(belief, 2)[0].places is None
+
+
+def test_a_sample_beside_another_explains_little():
+    belief = field_belief(PROBLEM, POSE, 0)
+    straight = np.stack([np.linspace(0.1, 0.6, SIZE), np.zeros(SIZE), np.zeros(SIZE)], axis=1)
+    crowded = np.repeat(straight[:1], SIZE, axis=0)
+    root, node = PROBLEM.root(belief, 1)
+    wide, narrow = (
+        float(PROBLEM.simulate(jax.random.key(0), root, node, f64(path[None]), None).rewards[0])
+        for path in (straight, crowded)
+    )
+    assert narrow < 0.7 * wide
