@@ -80,13 +80,11 @@ def test_a_finished_lane_keeps_its_state():
 
 
 def test_planners_face_the_same_initial_states():
-    first = [advanced(experiment("vdp-tag", *planner), 3, 1)[1] for planner in ([], ["planner=pft-dpw"])]
     starts = [
         np.asarray(jax.vmap(experiment("vdp-tag", *words).init)(jax.random.split(jax.random.key(0), 3)).world)
         for words in ([], ["planner=pft-dpw"])
     ]
     np.testing.assert_array_equal(*starts)
-    assert all(rows["valid"].all() for rows in first)
 
 
 @pytest.mark.parametrize(

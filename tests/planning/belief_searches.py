@@ -1,5 +1,7 @@
 """Problems, planners and random numbers for tests of belief searches."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -64,13 +66,13 @@ SETTINGS = {
     "widening": (2.0, 0.35),
     "observation_widening": (1.5, 0.4),
     "depth": 5,
+    "max_branches": 6,
 }
 
 
 def planner(name, iterations, **changes):
     """A planner of `SETTINGS` with changes."""
-    settings = SETTINGS | {"max_actions": 40, "max_branches": 40, "num_particles": 5, "published": False}
-    settings |= changes
+    settings = SETTINGS | {"max_actions": 40, "num_particles": 5, "published": False} | changes
     shared = {
         "exploration": number(settings["exploration"]),
         "action_widening": Widening(*map(number, settings["widening"])),
@@ -96,67 +98,14 @@ class Draws:
     def __init__(self, key, problem, belief, planner):
         self.root_key, key_states, _, self.search_key = jax.random.split(simulation_key(key), 4)
         self.states = np.asarray(draw_states(key_states, belief, planner.iterations))
-        self.decode = _on_numpy(lambda parameters: problem.actions.decode(parameters))
+        self._given = jax.random.key_data(self.search_key), problem, planner.leaf_value
+        names = "action branch leaf_value particle resampling observation move new_step next_step places"
+        for name in names.split():
+            setattr(self, name, partial(self._drawn, globals()[f"_{name}"]))
+        self.decode = partial(_on_numpy, _decode, problem)
 
-        def part(i, which):
-            key = jax.random.wrap_key_data(search_key, impl=implementation)
-            return jax.random.split(jax.random.fold_in(key, i), 4)[which]
-
-        def level_keys(i, level):
-            return jax.random.split(jax.random.fold_in(part(i, 0), level))
-
-        def particle_keys(i):
-            key_state, key_step = jax.random.split(part(i, 2))
-            return key_state, *jax.random.split(key_step, 5)
-
-        def observation(i, state, action):
-            _, key_state, key_observation, *_ = particle_keys(i)
-            next_state, _, ended = problem.step(key_state, state, action)
-            return problem.observe(key_observation, state, action, next_state), ended
-
-        def move(i, states, action, observation):
-            keys = jax.random.split(particle_keys(i)[3], len(states))
-            moved, rewards, terminated = jax.vmap(problem.step, (0, 0, None))(keys, states, action)
-            likelihood = jax.vmap(problem.log_likelihood, (None, 0, None, 0))
-            likelihoods = jnp.exp(likelihood(observation, states, action, moved))
-            return moved, rewards, terminated, jnp.nan_to_num(likelihoods)
-
-        def new_step(i, state, action):
-            key_step, key_observation = jax.random.split(part(i, 2))
-            next_state, reward, ended = problem.step(key_step, state, action)
-            observation = problem.observe(key_observation, state, action, next_state)
-            likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
-            return next_state, reward, ended, observation, likelihood
-
-        def next_step(i, level, state, action, observation):
-            key_step, *_ = jax.random.split(level_keys(i, level)[1], 3)
-            next_state, reward, ended = problem.step(key_step, state, action)
-            likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
-            return next_state, reward, ended, likelihood
-
-        def places(i, level, number):
-            _, key_places, key_draw = jax.random.split(level_keys(i, level)[1], 3)
-            return jax.random.uniform(key_places, (4,), float), random_index(key_draw, number)
-
-        search_key, implementation = (
-            jax.random.key_data(self.search_key),
-            jax.random.key_impl(self.search_key),
-        )
-        self.action = self._drawn(lambda i: problem.actions.sample(part(i, 1)))
-        self.branch = self._drawn(lambda i, level, num: random_index(level_keys(i, level)[0], num))
-        self.leaf_value = self._drawn(
-            lambda i, states, alive, left: planner.leaf_value(part(i, 3), problem, states, alive, left)
-        )
-        self.particle = self._drawn(lambda i, alive: draw_alive(particle_keys(i)[0], alive))
-        self.resampling = self._drawn(lambda i: jax.random.uniform(particle_keys(i)[4], (), float))
-        self.observation, self.move = self._drawn(observation), self._drawn(move)
-        self.new_step, self.next_step = self._drawn(new_step), self._drawn(next_step)
-        self.places = self._drawn(places)
-
-    def _drawn(self, function):
-        """`function` of the iteration and NumPy arguments, compiled."""
-        compiled = _on_numpy(function)
-        return lambda *arguments: compiled(self.i, *arguments)
+    def _drawn(self, function, *arguments):
+        return _on_numpy(function, *self._given, self.i, *arguments)
 
     def begin(self, i):
         self.i = i
@@ -165,12 +114,85 @@ class Draws:
         return self.states[self.i]
 
 
-def _on_numpy(function):
-    compiled = jax.jit(function)
+def _on_numpy(function, *arguments):
+    """What a function of arrays returns, as NumPy arrays and Python numbers; compiled once for all tests."""
+    integers_are_short = [np.asarray(x, np.int32) if isinstance(x, int) else x for x in arguments]
+    results = jax.tree.map(np.asarray, eqx.filter_jit(function)(*integers_are_short))
+    return jax.tree.map(lambda x: x.item() if x.ndim == 0 else x, results)
 
-    def call(*arguments):
-        integers_are_short = [np.int32(x) if isinstance(x, int) else x for x in arguments]
-        results = jax.tree.map(np.asarray, compiled(*integers_are_short))
-        return jax.tree.map(lambda x: x.item() if x.ndim == 0 else x, results)
 
-    return call
+def _decode(problem, parameters):
+    return problem.actions.decode(parameters)
+
+
+IMPLEMENTATION = jax.random.key_impl(simulation_key(jax.random.key(0)))
+
+# What iteration `i` of a search with this key draws.
+
+
+def _part(key, i, which):
+    key = jax.random.wrap_key_data(key, impl=IMPLEMENTATION)  # data, since a key may be used once
+    return jax.random.split(jax.random.fold_in(key, i), 4)[which]
+
+
+def _level_keys(key, i, level):
+    return jax.random.split(jax.random.fold_in(_part(key, i, 0), level))
+
+
+def _particle_keys(key, i):
+    key_state, key_step = jax.random.split(_part(key, i, 2))
+    return key_state, *jax.random.split(key_step, 5)
+
+
+def _action(key, problem, leaf_value, i):
+    return problem.actions.sample(_part(key, i, 1))
+
+
+def _branch(key, problem, leaf_value, i, level, number):
+    return random_index(_level_keys(key, i, level)[0], number)
+
+
+def _leaf_value(key, problem, leaf_value, i, states, alive, left):
+    return leaf_value(_part(key, i, 3), problem, states, alive, left)
+
+
+def _particle(key, problem, leaf_value, i, alive):
+    return draw_alive(_particle_keys(key, i)[0], alive)
+
+
+def _resampling(key, problem, leaf_value, i):
+    return jax.random.uniform(_particle_keys(key, i)[4], (), float)
+
+
+def _observation(key, problem, leaf_value, i, state, action):
+    _, key_state, key_observation, *_ = _particle_keys(key, i)
+    next_state, _, ended = problem.step(key_state, state, action)
+    return problem.observe(key_observation, state, action, next_state), ended
+
+
+def _move(key, problem, leaf_value, i, states, action, observation):
+    keys = jax.random.split(_particle_keys(key, i)[3], len(states))
+    moved, rewards, terminated = jax.vmap(problem.step, (0, 0, None))(keys, states, action)
+    likelihood = jax.vmap(problem.log_likelihood, (None, 0, None, 0))
+    likelihoods = jnp.exp(likelihood(observation, states, action, moved))
+    return moved, rewards, terminated, jnp.nan_to_num(likelihoods)
+
+
+def _new_step(key, problem, leaf_value, i, state, action):
+    key_step, key_observation = jax.random.split(_part(key, i, 2))
+    next_state, reward, ended = problem.step(key_step, state, action)
+    observation = problem.observe(key_observation, state, action, next_state)
+    likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
+    return next_state, reward, ended, observation, likelihood
+
+
+def _next_step(key, problem, leaf_value, i, level, state, action, observation):
+    key_step, *_ = jax.random.split(_level_keys(key, i, level)[1], 3)
+    next_state, reward, ended = problem.step(key_step, state, action)
+    likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
+    return next_state, reward, ended, likelihood
+
+
+def _places(key, problem, leaf_value, i, level, number):
+    _, key_places, key_draw = jax.random.split(_level_keys(key, i, level)[1], 3)
+    return jax.random.uniform(key_places, (4,), float), random_index(key_draw, number)

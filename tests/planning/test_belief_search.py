@@ -18,6 +18,8 @@ from tests.planning.belief_searches import SETTINGS, Draws, drift, number, plann
 from tests.reference import belief_search as reference
 
 KEY = 5  # of a search
+ITERATIONS = 150
+"""Of most searches, which share a program for each planner."""
 
 
 def belief_of(problem, num=50, seed=1):
@@ -55,19 +57,19 @@ def compare(tree, node, expected):
     ],
 )
 def test_the_tree_is_that_of_the_reference(name, changes):
-    discrete, iterations = changes.get("discrete", False), 150
+    discrete = changes.get("discrete", False)
     problem = drift(changes.get("sensor_noise", 0.5), discrete=discrete)
-    belief, search_planner = belief_of(problem), planner(name, iterations, max_branches=6, **changes)
+    belief, search_planner = belief_of(problem), planner(name, ITERATIONS, **changes)
     tree = search(search_planner, problem, belief)
 
     draws = Draws(jax.random.key(KEY), problem, belief, search_planner)
-    settings = SETTINGS | {"discount": 0.9, "num_actions": 3 if discrete else None, "max_branches": 6}
+    settings = SETTINGS | {"discount": 0.9, "num_actions": 3 if discrete else None}
     if name == "pft":
         root = search_planner.root(draws.root_key, problem, belief)
         content = np.asarray(root.states), np.asarray(root.alive)
-        expected = reference.PFT(draws, **settings).search(content, iterations)
+        expected = reference.PFT(draws, **settings).search(content, ITERATIONS)
     else:
-        expected = reference.POMCPOW(draws, **settings).search(None, iterations)
+        expected = reference.POMCPOW(draws, **settings).search(None, ITERATIONS)
     assert compare(tree, ROOT, expected) > 60
     best = int(jnp.argmax(tree.mean_returns(jnp.asarray(ROOT))))
     visited = [action for action in expected.actions if action.visits]
@@ -126,23 +128,23 @@ class DriftDraws:
 
 
 def test_many_reservoirs_search_as_published_lists_do():
-    problem, iterations, num = drift(), 150, 128
+    problem, num = drift(), 128
     belief = belief_of(problem)
-    reservoirs = planner("pomcpow", iterations, num_reservoirs=64)
+    reservoirs = planner("pomcpow", ITERATIONS, num_reservoirs=64, max_branches=40)
     in_batch = jax.vmap(lambda key: reservoirs.search(key, problem, belief), axis_name=LANES)
     totals = np.asarray(eqx.filter_jit(in_batch)(jax.random.split(jax.random.key(8), num)).totals[:, ROOT])
     states = np.asarray(belief.states)
     settings = SETTINGS | {"discount": 0.9, "num_actions": None, "max_branches": 40}
     roots = [
-        reference.POMCPOWWithLists(DriftDraws(states, seed), **settings).search(None, iterations)
+        reference.POMCPOWWithLists(DriftDraws(states, seed), **settings).search(None, ITERATIONS)
         for seed in range(num)
     ]
     # Statistics of the root: the mean return of all simulations, the highest mean, most visits, actions.
     visits = totals[..., 0]
     means = np.where(visits > 0, totals[..., 1] / np.maximum(visits, 1), -np.inf)
-    found = totals[..., 1].sum(axis=1) / iterations, means.max(axis=1), visits.max(axis=1)
+    found = totals[..., 1].sum(axis=1) / ITERATIONS, means.max(axis=1), visits.max(axis=1)
     expected = (
-        [sum(a.total for a in root.actions) / iterations for root in roots],
+        [sum(a.total for a in root.actions) / ITERATIONS for root in roots],
         [max(a.mean for a in root.actions) for root in roots],
         [max(a.visits for a in root.actions) for root in roots],
     )
@@ -175,12 +177,12 @@ def test_a_threshold_that_a_device_rounds_up_is_whole(monkeypatch):
 
 @pytest.mark.parametrize("name", ["pft", "pomcpow"])
 def test_visits_add_up_and_widening_is_bounded(name):
-    problem, iterations = drift(), 300
-    tree = search(planner(name, iterations), problem, belief_of(problem))
+    problem = drift()
+    tree = search(planner(name, ITERATIONS), problem, belief_of(problem))
     visits = np.asarray(tree.totals[..., 0])
-    assert visits[ROOT].sum() == iterations
+    assert visits[ROOT].sum() == ITERATIONS
     seen = {ROOT}
-    for node in range(iterations + 1):
+    for node in range(ITERATIONS + 1):
         actions = np.flatnonzero(visits[node])
         if node not in seen:  # nodes have higher indices than their parents
             assert not len(actions)
@@ -189,7 +191,7 @@ def test_visits_add_up_and_widening_is_bounded(name):
         assert len(actions) <= max(1, SETTINGS["widening"][0] * at_node ** SETTINGS["widening"][1] + 1)
         for slot in actions:
             k, alpha = SETTINGS["observation_widening"]
-            num_branches = capacity(k, alpha, int(visits[node, slot]))
+            num_branches = min(capacity(k, alpha, int(visits[node, slot])), SETTINGS["max_branches"])
             branches = np.asarray(tree.branches[tree.children[node, slot]])
             added = branches[:num_branches]
             assert np.all(added > node) and not seen & set(added)
@@ -219,9 +221,9 @@ def test_beliefs_without_weights_or_living_states_give_no_nan(name, published):
         ended = Particles(belief.states, belief.log_weights, jnp.ones_like(belief.terminal))
         weightless = Particles(belief.states, jnp.full_like(belief.log_weights, -jnp.inf), belief.terminal)
         for each in (belief, ended, weightless):
-            tree = search(planner(name, 60, published=published), problem, each)
+            tree = search(planner(name, ITERATIONS, published=published), problem, each)
             assert np.all(np.isfinite(tree.totals))
-            assert tree.totals[ROOT, :, 0].sum() == 60
+            assert tree.totals[ROOT, :, 0].sum() == ITERATIONS
 
 
 @pytest.mark.parametrize("name", ["pft", "pomcpow"])
@@ -230,7 +232,7 @@ def test_a_lane_of_a_batch_is_a_search_of_its_own(name):
     keys = jax.random.split(jax.random.key(2), 3)
     beliefs = [belief_of(problem, seed=seed) for seed in range(3)]
     together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)
-    one = planner(name, 80)
+    one = planner(name, ITERATIONS)
     in_batch = jax.vmap(lambda key, belief: one.search(key, problem, belief), axis_name=LANES)
     batch = eqx.filter_jit(in_batch)(jnp.copy(keys), together)
     for lane, belief in enumerate(beliefs):
@@ -241,7 +243,7 @@ def test_a_lane_of_a_batch_is_a_search_of_its_own(name):
 
 def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
     problem = drift()
-    tree = search(planner("pft", 200), problem, belief_of(problem))
+    tree = search(planner("pft", ITERATIONS), problem, belief_of(problem))
     sd, num_candidates, num = np.sqrt(0.3), 4, 2000
     proposal = VoronoiProposal(number(0.0), number([sd**2]), number(0.0), num_candidates)
 

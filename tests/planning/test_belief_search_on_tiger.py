@@ -64,17 +64,25 @@ class Constant(LeafValue):
         return number(VALUE)
 
 
+@cache
+def searches(name):
+    """A search in several lanes, of depth 2, as a function of keys, a belief and a leaf value."""
+    settings = {"exploration": 20.0, "observation_widening": (10.0, 0.0), "depth": 2, "max_branches": 11}
+    settings |= {"num_particles": 200, "num_reservoirs": 256}
+
+    def search(keys, belief, leaf_value):
+        search_planner = planner(name, 1500, **settings, leaf_value=leaf_value)
+        return jax.vmap(lambda key: search_planner.search(key, TIGER, belief), axis_name=LANES)(keys)
+
+    return jax.jit(search, compiler_options=OPTIMISED)
+
+
 def trees(name, net_hearings, leaf_value):
-    """Trees of several lanes, of depth 2."""
+    """Trees of several lanes."""
     right = right_after(net_hearings)
     states, log_weights = jnp.asarray([[0.0], [1.0]]), jnp.log(jnp.asarray([1 - right, right]))
     belief = Particles(states, log_weights, jnp.zeros(2, bool))
-    settings = {"exploration": 20.0, "observation_widening": (10.0, 0.0), "depth": 2, "max_branches": 11}
-    search_planner = planner(
-        name, 1500, **settings, num_particles=200, num_reservoirs=256, leaf_value=leaf_value
-    )
-    search = jax.vmap(lambda key: search_planner.search(key, TIGER, belief), axis_name=LANES)
-    return jax.jit(search, compiler_options=OPTIMISED)(jax.random.split(jax.random.key(7), NUM_LANES))
+    return searches(name)(jax.random.split(jax.random.key(7), NUM_LANES), belief, leaf_value)
 
 
 def root_values(trees):

@@ -46,12 +46,12 @@ class Watching(RandomProposal):
 
 @pytest.mark.parametrize("name, target", [("pft", "return"), ("pomcpow", "reward")])
 def test_statistics_are_those_of_all_visits(name, target):
-    problem, iterations = drift(), 120
+    problem, iterations = drift(), 150
     belief = initial(problem, jax.random.key(1), 50)
-    search_planner = planner(name, iterations, max_branches=6, proposal=Watching(target))
+    search_planner = planner(name, iterations, proposal=Watching(target))
     tree = eqx.filter_jit(search_planner.search)(jax.random.key(5), problem, belief)
     draws = Draws(jax.random.key(5), problem, belief, search_planner)
-    settings = SETTINGS | {"discount": 0.9, "num_actions": None, "max_branches": 6}
+    settings = SETTINGS | {"discount": 0.9, "num_actions": None}
     if name == "pft":
         root = search_planner.root(draws.root_key, problem, belief)
         content = np.asarray(root.states), np.asarray(root.alive)
