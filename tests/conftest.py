@@ -65,7 +65,8 @@ def usual_jax():
         jax.config.update(flag, value)
 
 
-_UNDRAWN = {"api", "claims", "cli", "engine", "tuning", "test_damage.py", "test_manifest.py"}
+_UNDRAWN = {"api", "claims", "cli", "engine", "experiments", "films", "problems", "tuning"}
+_UNDRAWN |= {"test_damage.py", "test_manifest.py"}
 """Folders and files whose tests do not look at figures."""
 
 

@@ -27,6 +27,7 @@ from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
 from tests.engine.drive import run_sweep
+from tests.tiers import by_tier
 from tests.toy import toy
 
 DEVICE = jax.devices("cpu")[0]
@@ -156,7 +157,10 @@ def spoil(path, how):
         path.write_bytes({"emptied": b"", "cut off": whole[:middle], "flipped": flipped}[how])
 
 
-@pytest.mark.parametrize("damage", ["cut off", "flipped", "a pipe", "without a hash", "a folder"])
+@pytest.mark.parametrize(
+    "damage",
+    by_tier(["cut off", "flipped", "a pipe", "without a hash", "a folder"], normal=["flipped", "a folder"]),
+)
 def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
     # A full disk, or a kill at the wrong moment: JAX never replaces an entry, and verifies no hash.
     expected = advanced(programs_of(group_of()))
@@ -312,7 +316,13 @@ def test_nothing_foreign_may_be_part_of_a_group(cache, part):
     assert program_cache.key_of(group_of(), DEVICE, part) is None
 
 
-@pytest.mark.parametrize("damage", ["emptied", "cut off", "flipped", "renamed", "a pipe", "a pickle"])
+@pytest.mark.parametrize(
+    "damage",
+    by_tier(
+        ["emptied", "cut off", "flipped", "renamed", "a pipe", "a pickle"],
+        normal=["cut off", "renamed", "a pickle"],
+    ),
+)
 def test_a_damaged_entry_is_not_used_and_replaced(compiled, entries, damage):
     expected = advanced(compiled[0])
     _, entry, other, *_ = entries
