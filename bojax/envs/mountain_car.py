@@ -10,6 +10,7 @@ from typing_extensions import override
 
 from bojax.envs.control import ControlStep, ControlTask
 from bojax.envs.spaces import Box
+from bojax.problems.pomdp.mountain_car import HIGH, LOW, roll
 
 
 class MountainCar(ControlTask):
@@ -40,7 +41,7 @@ class MountainCar(ControlTask):
     def observation_space(self) -> Box:
         """Position and velocity; the bounds also limit the motion."""
         dtype = self.power.dtype
-        return Box(jnp.asarray([-1.2, -0.07], dtype), jnp.asarray([0.6, 0.07], dtype))
+        return Box(jnp.asarray(LOW, dtype), jnp.asarray(HIGH, dtype))
 
     @property
     @override
@@ -59,15 +60,10 @@ class MountainCar(ControlTask):
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
         """Update the velocity, then the position; the left wall stops the car."""
-        low, high = self.observation_space.low, self.observation_space.high
         (force,) = action
         if self.actions == "thresholded":
             force = jnp.where(jnp.abs(force) < self.threshold, jnp.zeros_like(force), jnp.sign(force))
-        velocity = state[1] + (force * self.power - self.gravity * jnp.cos(3.0 * state[0]))
-        velocity = jnp.clip(velocity, low[1], high[1])
-        position = jnp.clip(state[0] + velocity, low[0], high[0])
-        at_the_wall = (position == low[0]) & (velocity < 0.0)
-        return jnp.stack([position, jnp.where(at_the_wall, jnp.zeros_like(velocity), velocity)])
+        return roll(state, force * self.power, self.gravity)
 
     @override
     def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:

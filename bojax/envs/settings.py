@@ -7,7 +7,8 @@ import pydantic
 from pydantic import Field
 from typing_extensions import override
 
-from bojax.config.component import Component
+from bojax.config.component import Component, Slot
+from bojax.problems.pomdp.settings import Hallway, StateProblemSettings
 
 
 class EnvironmentSettings(Component, frozen=True):
@@ -85,6 +86,28 @@ class MountainCar(ControlTask, frozen=True):
     )
     power: float = Field(default=0.001, gt=0, description="velocity change per step by an action of 1")
     gravity: float = Field(default=0.0025, ge=0, description="velocity change per step on the steepest slope")
+
+
+class Belief(EnvironmentSettings, frozen=True):
+    """A state problem seen through the belief of its filter: what a learner can know of the state."""
+
+    target: ClassVar[str] = "bojax.envs.belief:BeliefEnv"
+    observation_names: ClassVar[tuple[str, str]] = ("first feature", "second feature")
+    kind: Literal["belief"] = "belief"
+    problem: Annotated[Component, Slot("problem", only=StateProblemSettings)] = Field(
+        default=Hallway(num_particles=500), description="state problem"
+    )
+    features: Literal["mean-and-spread", "mean", "reading", "state"] = Field(
+        default="mean-and-spread",
+        description="what is observed: mean and standard deviation of each component of the state; the mean; "
+        "or, for comparison, the last observation of the problem, or the true state",
+    )
+    low: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+        default=(0.0,), description="lower bounds of the state; of the problem's observation with reading"
+    )
+    high: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+        default=(10.0,), description="upper bounds of the same"
+    )
 
 
 class PointMaze(ControlTask, frozen=True):

@@ -187,6 +187,44 @@ class LightDarkNd(StateProblemSettings, frozen=True):
     max_steps: _MaxSteps = 8
 
 
+class PomdpMountainCar(StateProblemSettings, frozen=True):
+    """Mountain car without a sensor of the velocity, with rewards of 1 at the goal and 0 elsewhere."""
+
+    target: ClassVar[str] = "bojax.problems.pomdp.mountain_car:PomdpMountainCar"
+    kind: Literal["pomdp-mountain-car"] = "pomdp-mountain-car"
+    goal_position: float = Field(default=0.5, gt=-0.4, le=0.6, description="smallest position at the goal")
+    power: float = Field(default=0.001, gt=0, description="velocity change per step by an action of 1")
+    gravity: float = Field(default=0.0025, ge=0, description="velocity change per step on the steepest slope")
+    velocity_noise: float = Field(
+        default=0.0002, ge=0, description="standard deviation added to the velocity at each step"
+    )
+    sensor_noise: _Noise = Field(default=0.1, description="standard deviation of a measured position")
+    discount: _Discount = 0.99
+    max_steps: _MaxSteps = 500
+
+
+class Hallway(StateProblemSettings, frozen=True):
+    """Stop at the right one of several doors that look the same (after Porta et al., JMLR 2006)."""
+
+    target: ClassVar[str] = "bojax.problems.pomdp.hallway:Hallway"
+    kind: Literal["hallway"] = "hallway"
+    length: float = Field(default=10.0, gt=0, description="distance between the walls, m")
+    doors: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+        default=(2.0, 4.0, 7.0), min_length=1, description="positions of the doors, the right one last, m"
+    )
+    half_width: float = Field(
+        default=0.5, gt=0, description="distance from which door and wall are beside, m"
+    )
+    stop: float = Field(
+        default=0.1, gt=0, lt=1, description="length of a move below which the robot stops, m"
+    )
+    wrong_reward: float = Field(default=-1.0, description="reward of a stop that is not at the right door")
+    move_noise: float = Field(default=0.1, ge=0, description="standard deviation added to a move, m")
+    accuracy: float = Field(default=0.9, gt=0, lt=1, description="probability that a sensor is right")
+    discount: _Discount = 0.95
+    max_steps: _MaxSteps = 50
+
+
 class Tiger(StateProblemSettings, frozen=True):
     """Listen for a tiger behind one of two doors, then open the other (Kaelbling et al., 1998)."""
 
