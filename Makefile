@@ -38,7 +38,7 @@ smoke:
 	.ci/smoke $(PYTHON)
 
 site: $(DEV_STAMP)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/zensical build --strict
 
 gallery: $(DEV_STAMP)
 	$(BIN)/python pictures/gallery.py results/gallery
