@@ -290,16 +290,25 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(5, 3.4), layout="constrained")
     counts = sorted({row["devices"] for row in rows})
     axes.plot(counts, counts, color="gray", linestyle=":", label="ideal")
-    for name in dict.fromkeys((row["sweep"], row["runs"], row["launcher"]) for row in rows):
-        own = [row for row in rows if (row["sweep"], row["runs"], row["launcher"]) == name]
+    cards = list(dict.fromkeys(row["device"] for row in rows))
+    for card, sweep, runs, launcher in dict.fromkeys(map(_curve_of, rows)):
+        own = [row for row in rows if _curve_of(row) == (card, sweep, runs, launcher)]
         points = sorted((row["devices"], ratio) for row in own if (ratio := speed_up(rows, row)))
-        label = f"{name[0]}, {name[1]:,} runs" + (", Ray" if name[2] == "ray" else "")
+        words = [f"{sweep}, {runs:,} runs", *(["Ray"] if launcher == "ray" else [])]
+        words += [card] if len(cards) > 1 else []
         if points:
-            axes.plot(*zip(*points, strict=True), marker="x" if name[2] == "ray" else "o", label=label)
-    axes.set(xlabel=f"devices ({rows[0]['device']})", ylabel="times as fast as one", xticks=counts)
+            style = (0, (1, 1 + 2 * cards.index(card))) if cards.index(card) else "-"
+            marker = "x" if launcher == "ray" else "o"
+            axes.plot(*zip(*points, strict=True), marker=marker, linestyle=style, label=", ".join(words))
+    label = f"devices ({cards[0]})" if len(cards) == 1 else "devices"
+    axes.set(xlabel=label, ylabel="times as fast as one", xticks=counts)
     axes.legend(frameon=False, fontsize="small")
     figure.savefig(path, dpi=150)
     plt.close(figure)
+
+
+def _curve_of(row: Row) -> tuple[str, str, int, str]:
+    return row["device"], row["sweep"], row["runs"], row["launcher"]
 
 
 if __name__ == "__main__":
