@@ -103,9 +103,11 @@ class Functions:
         self.fill = partial(_fill, self.init)
         self.advance = _in_lanes(_advance, group)
         self.summary = _in_lanes(_summary, group)
-        self.snapshot = _in_lanes(_snapshot, group)
+        self.snapshot = _in_lanes(lambda experiment, carry: experiment.snapshot(carry), group)
         # Not compiled ahead: most sweeps save no learners.
-        self.exported_state = jax.jit(_in_lanes(_exported_state, group))
+        self.exported_state = jax.jit(
+            _in_lanes(lambda experiment, carry: experiment.exported_state(carry), group)
+        )
 
 
 class Programs:
@@ -424,14 +426,6 @@ def _summary(experiment: Experiment, carry: Carry) -> dict[str, Array]:
     summary = experiment.summary(carry)
     check_summary(experiment, summary)
     return summary
-
-
-def _snapshot(experiment: Experiment, carry: Carry) -> dict[str, dict[str, Array]]:
-    return experiment.snapshot(carry)
-
-
-def _exported_state(experiment: Experiment, carry: Carry) -> PyTree:
-    return experiment.exported_state(carry)
 
 
 def _recorded(tables: PyTree, lanes: Int[Array, " recorded"]) -> PyTree:

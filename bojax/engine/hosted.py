@@ -87,7 +87,6 @@ class Hosted(Programs):
         assert isinstance(run, LearningRun)
         self._open(run)
         self._carry = jax.tree.structure(self._carry_of(self._no_lanes()))
-        self._carry = jax.tree.structure(self._carry_of(self._no_lanes()))
         self._training = self._phase_programs(lambda run, carry, number: run.training(carry))
         self._test = self._phase_programs(lambda run, carry, number: run.test(carry, number))
         self._end_episode = self._program(lambda run, carry, episode: run.end_episode(carry, episode))

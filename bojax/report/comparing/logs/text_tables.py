@@ -96,11 +96,6 @@ def _start(path: Path, text: str) -> float:
         raise ResultsError(f"{path}: line 1: allowed: # and JSON with t_start, as Monitor writes") from None
 
 
-def is_progress(header: Sequence[str]) -> bool:
-    """Whether a header is one of Stable-Baselines3's `progress.csv`."""
-    return PROGRESS_STEPS in header
-
-
 def progress_columns(table: TextTable) -> Columns:
     """The columns of `progress.csv`. Rows without a value in a column do not belong to it."""
     place_of_steps = table.header.index(PROGRESS_STEPS)
