@@ -40,12 +40,17 @@ SWEEPS: Mapping[str, tuple[Any, dict[str, Any]]] = {
     "space-modelling": ("fig-4.4", {"runs": 4, "planner.iterations": 20}),
     "trajectories": ("fig-4.2", {}),
     "heights": ("hilly-terrain", {"runs": 2, "planner.iterations": 10, "problem.max_steps": 8}),
+    "budget": (
+        "two-pits",
+        {"runs": 4, "planner.iterations": 20, "problem.budget": 10.0, "problem.errors_by_step": True},
+    ),
+    "light-dark": ("light-dark", {"runs": 2, "planner.iterations": 20, "problem.max_steps": 8}),
     "mountain-car": (
         EMU_Q,
         {"runs": 4, "episodes": 4, "tests": 1, "map_episodes": [1, 2, 3], "stop": "never"},
     ),
     "chain": (
-        {"base": CHAIN, "axes": {"env.length": [4, 8, 16, 32, 64]}},
+        {"base": CHAIN, "axes": {"env.length": [4, 6, 8, 12, 16]}},
         {"runs": 20, "stop": "first-success"},
     ),
     "grid": (
