@@ -23,7 +23,7 @@ def draw(results: Results) -> Drawing:
     panels = [
         Panel(
             name,
-            f"mean {name}",
+            f"{name} averaged over runs",
             [Curve(point, marks, _at(results, point, column, marks)) for point in points],
         )
         for column, name in ERRORS.items()
