@@ -71,7 +71,13 @@ class Models(eqx.Module):
         weights: Float[Array, "M"],
         maps: Float[Array, "Q 2 2"],
     ) -> "Models":
-        """The beliefs given the data of `posterior`, under each map."""
+        """The beliefs given the data of `posterior`, under each map.
+
+        A single map must be the identity: `posterior` is then taken as it is, and may be sparse.
+        """
+        if len(maps) == 1:
+            errors = PointErrors.of(posterior, grid, weights)
+            return cls(maps, jax.tree.map(lambda leaf: leaf[None], errors))
 
         def one(linear: Float[Array, "2 2"]) -> PointErrors:
             mapped = eqx.tree_at(lambda gp: gp.x, posterior, matmul(posterior.x, linear.T))

@@ -13,14 +13,14 @@ import numpy as np
 from bojax.config.extras import MissingExtra
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.models.kernels import Matern52, Scaled
 from bojax.results.store import write_arrays
 from bojax.surveys.area import Area
+from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, parse_goal
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import Ground
 from bojax.surveys.planning import Demand, best_lawnmowers, ground_within
-from bojax.surveys.polylines import Waypoints, driven_at, length_of
+from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.route import (
     NUM_GRID,
     Route,
@@ -31,14 +31,18 @@ from bojax.surveys.route import (
     stays_inside,
 )
 
-LEAST_CAPACITY = 64
-"""Measurements that the first belief has room for; each further one, compiled anew, has twice as many."""
-
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
 FAR = 1.0  # sizes of the area beyond its bounds at which a position is taken for an error
 LEAST_DATA = 10  # measurements before hyper-parameters are learned
 SPREAD = 1.0  # of the log-normal prior of the hyper-parameters
+MOST_EXACT = 256
+"""Measurements up to which the belief is exact in a plan; of more, it is summarised at as many points.
+
+Hyper-parameters are learned from as many of them at most."""
+
+MOST_MAPPED = 1024  # the same in a prediction
+
 RELEARNING = 2**31  # first of the numbers that are folded into the keys of relearning; plans have small ones
 NOTHING: Waypoints = np.zeros((0, 2))
 
@@ -147,10 +151,22 @@ class Mission:
             key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
             self.route = plan_route(
                 self.posterior(), self.area, left, entry, self.end, self._guesses(entry, left), key,
-                spacing=self.spacing, weight=self.weights, target=self.goal.region, options=self.options,
+                spacing=self.spacing, weight=self.weights, target=self.goal.region, options=self._options,
             )  # fmt: skip
         route = self.route.waypoints
         return route if to_entry > 0.0 else route[1:]
+
+    @property
+    def _options(self) -> RouteOptions:
+        """The options of a plan.
+
+        Beyond `MOST_EXACT`, measurements leave few kernels plausible but the given one. Without the others,
+        and with an earlier plan, half the work is enough.
+        """
+        if self.num_measurements <= MOST_EXACT:
+            return self.options
+        restarts, steps = (max(2, each // 2) for each in (self.options.restarts, self.options.steps))
+        return dataclasses.replace(self.options, models=1, restarts=restarts, steps=steps)
 
     def observe(self, points: Any, values: Any, pose: Any = None, times: Any = None) -> int:
         """Take measurements into the belief, and move the robot.
@@ -220,8 +236,8 @@ class Mission:
         with jax.enable_x64(True):
             key = jax.random.fold_in(jax.random.key(self.seed), RELEARNING + self.num_measurements)
             if self._log_prior is None:  # one function for the whole mission: another one compiles anew
-                self._log_prior = log_normal_prior(*_model(self._medians), SPREAD)
-            gp, _ = relearn(self.posterior(), key, log_prior=self._log_prior, num_starts=2)
+                self._log_prior = log_normal_prior(*model_of(self._medians), SPREAD)
+            gp, _ = relearn(self._learned_from(), key, log_prior=self._log_prior, num_starts=2)
             kernel: Any = gp.kernel
             found = kernel.kernel.lengthscale, kernel.variance, gp.noise_variance
         lengthscale, variance, noise = map(float, found)
@@ -229,21 +245,32 @@ class Mission:
         self.hyperparameters = (lengthscale, variance, noise)
 
     def posterior(self) -> GaussianProcess:
-        """The belief about the standardised values, with room for a power of two of them."""
-        capacity = LEAST_CAPACITY
-        while capacity < self.num_measurements:
-            capacity *= 2
-        with jax.enable_x64(True):
-            x, y = np.zeros((capacity, 2)), np.zeros(capacity)
-            x[: self.num_measurements] = self._x
-            y[: self.num_measurements] = (self._y - self._shift) / self._scale
-            count = jnp.asarray(self.num_measurements, jnp.int32)
-            return GaussianProcess.fit(*_model(self.hyperparameters), x, y, count=count)
+        """The belief about the standardised values that a plan is made from.
 
-    def predict(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values."""
+        It has room for a power of two of them or, beyond `MOST_EXACT`, is a `sparse_posterior`.
+        """
+        return self._belief(MOST_EXACT)
+
+    def _belief(self, most: int) -> GaussianProcess:
+        """The belief, exact up to a number of measurements."""
+        return belief_from(self.hyperparameters, self._x, (self._y - self._shift) / self._scale, most)
+
+    def _learned_from(self) -> GaussianProcess:
+        """The exact belief from a random part of the measurements, if there are many."""
+        chosen = np.arange(self.num_measurements)
+        if self.num_measurements > MOST_EXACT:
+            random = np.random.default_rng([self.seed, self.num_measurements])
+            chosen = np.sort(random.choice(chosen, MOST_EXACT, replace=False))
+        values = (self._y[chosen] - self._shift) / self._scale
+        return belief_from(self.hyperparameters, self._x[chosen], values, MOST_EXACT)
+
+    def predict(self, points: Any, most: int = MOST_MAPPED) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values.
+
+        Up to `most` measurements they are exact; of more, the belief is summarised at as many points.
+        """
         with jax.enable_x64(True):
-            mean, variance = self.posterior().predict(np.asarray(points, float))
+            mean, variance = self._belief(most).predict(np.asarray(points, float))
             deviation = np.sqrt(np.asarray(variance))
         return self._shift + self._scale * np.asarray(mean), self._scale * deviation
 
@@ -251,7 +278,7 @@ class Mission:
         """Weights `[M]` of points `[M, 2]` in the error that a plan minimises."""
         if not (self.goal.needs_values and self.num_measurements):
             return np.ones(len(points))
-        return self.goal.weights(*self.predict(points))
+        return self.goal.weights(*self.predict(points, MOST_EXACT))
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
@@ -333,7 +360,7 @@ class Mission:
     def _guesses(self, entry: Waypoints, left: float) -> dict[str, Waypoints]:
         """The rest of the earlier plan or, if there is none that stays in the area, the best lawnmowers."""
         if self.route is not None:
-            rest = self._rest(self.route.waypoints, entry)
+            rest = rest_of(self.route.waypoints, entry)
             if stays_inside(rest, self.area):
                 return {"earlier plan": rest}
         try:
@@ -346,29 +373,12 @@ class Mission:
         except (MissingExtra, ValueError):  # without shapely, or a budget for them
             return {}
 
-    def _rest(self, route: Waypoints, entry: Waypoints) -> Waypoints:
-        """The part of a route that lies ahead of its point that is nearest to the robot."""
-        driven = driven_at(route)
-        begins, ways = route[:-1], np.diff(route, axis=0)
-        squared = np.maximum(np.sum(ways**2, axis=1), np.finfo(float).tiny)
-        share = np.clip(np.sum((entry - begins) * ways, axis=1) / squared, 0.0, 1.0)
-        nearest = begins + share[:, None] * ways
-        piece = int(np.argmin(np.linalg.norm(nearest - entry, axis=1)))
-        at = driven[piece] + share[piece] * (driven[piece + 1] - driven[piece])
-        return np.concatenate([entry[None], route[(driven > at) | (np.arange(len(route)) == len(route) - 1)]])
-
 
 _PLAIN = (
     "remaining", "spacing", "relearn_every", "seed", "hyperparameters", "_medians", "_time", "_shift",
     "_scale", "_learned_at", "_plans",
 )  # fmt: skip
 """Attributes of a mission that are saved as JSON."""
-
-
-def _model(hyperparameters: tuple[float, float, float]) -> tuple[Scaled, jax.Array]:
-    """Kernel and noise variance."""
-    lengthscale, variance, noise = (jnp.asarray(value, jnp.float64) for value in hyperparameters)
-    return Scaled(Matern52(lengthscale), variance), noise
 
 
 def _goal(given: str | Area) -> Goal:

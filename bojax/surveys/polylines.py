@@ -37,3 +37,15 @@ def with_waypoints(route: Waypoints, number: int) -> Waypoints:
         for first, last, count in zip(route[:-1], route[1:], parts, strict=True)
     ]
     return np.concatenate([*pieces, route[-1:]])
+
+
+def rest_of(route: Waypoints, position: np.ndarray) -> Waypoints:
+    """A position `[2]`, and the part of a polyline that lies ahead of its point nearest to it."""
+    driven, begins, ways = driven_at(route), route[:-1], np.diff(route, axis=0)
+    squared = np.maximum(np.sum(ways**2, axis=1), np.finfo(float).tiny)
+    share = np.clip(np.sum((position - begins) * ways, axis=1) / squared, 0.0, 1.0)
+    nearest = begins + share[:, None] * ways
+    piece = int(np.argmin(np.linalg.norm(nearest - position, axis=1)))
+    at = driven[piece] + share[piece] * (driven[piece + 1] - driven[piece])
+    is_ahead = (driven > at) | (np.arange(len(route)) == len(route) - 1)
+    return np.concatenate([position[None], route[is_ahead]])

@@ -320,11 +320,12 @@ def _stops(points: Waypoints, budget: float) -> int:
 
 def _best(candidates: dict[str, list[Waypoints]], final: Models, budget, spacing, least, dtype) -> Routes:
     """The candidate of least error."""
-    number = max(least, *(len(route) for together in candidates.values() for route in together))
-    stacked = [
-        jnp.asarray(np.stack([with_waypoints(route, number) for route in together]), dtype)
-        for together in candidates.values()
-    ]
+    # Routes of at most `least` waypoints share a program; longer ones are rounded up, so that few differ.
+    stacked = []
+    for together in candidates.values():
+        longest = max(map(len, together))
+        number = least if longest <= least else 32 * -(-longest // 32)
+        stacked.append(jnp.asarray(np.stack([with_waypoints(route, number) for route in together]), dtype))
     # Twice as many samples as in the descent: the number is fixed, so that no budget compiles anew.
     samples = 2 * samples_of_each(len(stacked[0]))
     step = jnp.asarray(budget / samples, dtype)

@@ -10,7 +10,7 @@ import pytest
 
 from bojax.surveys.area import Area
 from bojax.surveys.mission import Mission
-from bojax.surveys.polylines import length_of, points_along
+from bojax.surveys.polylines import length_of, points_along, rest_of
 from bojax.surveys.route import RouteOptions, fitted, stays_inside
 
 QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
@@ -201,8 +201,24 @@ def test_a_mission_among_walls_has_a_plan_that_stays_inside_from_any_point_of_it
 
 
 def test_the_rest_of_a_plan_begins_behind_the_robot_on_its_own_piece():
-    mission = Mission(Area.rectangle(0.0, 0.0, 9.0, 9.0), 30.0, [0.0, 0.0], spacing=1.0)
     route = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 8.0]])
-    np.testing.assert_allclose(mission._rest(route, np.array([5.0, 0.0])), [[5, 0], [8, 0], [8, 8]])
-    np.testing.assert_allclose(mission._rest(route, np.array([8.0, 1.0])), [[8, 1], [8, 8]])
-    np.testing.assert_allclose(mission._rest(route, np.array([8.0, 8.0])), [[8, 8], [8, 8]])
+    np.testing.assert_allclose(rest_of(route, np.array([5.0, 0.0])), [[5, 0], [8, 0], [8, 8]])
+    np.testing.assert_allclose(rest_of(route, np.array([8.0, 1.0])), [[8, 1], [8, 8]])
+    np.testing.assert_allclose(rest_of(route, np.array([8.0, 8.0])), [[8, 8], [8, 8]])
+
+
+def test_a_belief_from_many_measurements_is_close_to_the_exact_one_and_plans_are_quick(monkeypatch):
+    survey = mission(lengthscale=2.0, noise_variance=0.02)
+    rng = np.random.default_rng(0)
+    points = rng.uniform(0.0, [6.0, 3.0], (900, 2))
+    survey.observe(points, np.sin(points[:, 0]) + 0.1 * rng.standard_normal(900), [1.0, 1.0])
+    queries = SQUARE.grid(0.5)
+    found, exact = survey.predict(queries, 200), survey.predict(queries, 900)
+    np.testing.assert_allclose(found[0], exact[0], atol=0.1)
+    np.testing.assert_allclose(found[1], exact[1], atol=0.03)
+    survey.remaining = 12.0
+    assert len(survey.posterior().y) == 256
+    way = np.concatenate([survey.position[None], survey.plan()])
+    # The lower half has been measured: the route is in the upper one.
+    assert np.median(way[:, 1]) > 3.0 and length_of(way) <= 12.0 + 1e-6
+    assert survey._learned_from().count == 256

@@ -1,0 +1,49 @@
+"""The belief of a mission: exact from a few measurements, sparse from many."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.models.sparse import sparse_posterior, spread_inducing
+
+LEAST_CAPACITY = 64
+"""Measurements that the first belief has room for; each further one, compiled anew, has twice as many."""
+
+
+def belief_from(
+    hyperparameters: tuple[float, float, float], points: np.ndarray, values: np.ndarray, most: int
+) -> GaussianProcess:
+    """The belief from measurements at points `[N, 2]`.
+
+    Arrays are padded to a power of two, so that few programs are compiled.
+
+    Args:
+        hyperparameters: Lengthscale, variance and noise variance.
+        points: Positions, m.
+        values: Standardised values `[N]`.
+        most: Measurements up to which the belief is exact; of more, it is summarised at as many points.
+    """
+    number = len(values)
+    size = _power_of_two(number)
+    with jax.enable_x64(True):
+        x, y = np.zeros((size, 2)), np.zeros(size)
+        x[:number], y[:number] = points, values
+        count = jnp.asarray(number, jnp.int32)
+        kernel, noise = model_of(hyperparameters)
+        if number <= most:
+            return GaussianProcess.fit(kernel, noise, x, y, count=count)
+        inducing = jnp.asarray(spread_inducing(points, hyperparameters[0], most))
+        return sparse_posterior(kernel, noise, jnp.asarray(x), jnp.asarray(y), inducing, count)
+
+
+def model_of(hyperparameters: tuple[float, float, float]) -> tuple[Scaled, jax.Array]:
+    """Kernel and noise variance."""
+    lengthscale, variance, noise = (jnp.asarray(value, jnp.float64) for value in hyperparameters)
+    return Scaled(Matern52(lengthscale), variance), noise
+
+
+def _power_of_two(number: int) -> int:
+    """The least power of two that is not below a number and `LEAST_CAPACITY`."""
+    return max(LEAST_CAPACITY, 1 << (number - 1).bit_length())
