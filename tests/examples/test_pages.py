@@ -17,7 +17,7 @@ from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
 DOCS = ROOT / "docs"
 REFERENCE = {
-    *("docs/configuration.md", "docs/results.md", "docs/reproduction.md"),
+    *("docs/configuration.md", "docs/results.md", "docs/reproduction.md", "docs/surveys-league.md"),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "settings").iterdir()),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "reproduction").glob("chapter*.md")),
 }

@@ -10,6 +10,9 @@ from bojax.report.drawing.base import Drawing
 from bojax.report.league.aims import MISSED, OPEN, REACHED, Comparison, Judged
 from bojax.report.text import counted, number
 
+DRAWN, TICKS = (0.45, 2.2), (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Limits and ticks of the axis of ratios."""
+
 COLOURS = {REACHED: style.BLUE, OPEN: style.GREY, MISSED: style.ORANGE}
 """Colours of verdicts."""
 
@@ -28,12 +31,17 @@ def draw_ratios(judged: Sequence[Judged]) -> Drawing:
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     style.quiet_grid(axes, "x")
-    axes.set_xlabel("error relative to the rival's")
+    axes.set_xscale("log")
+    axes.set_xlim(*DRAWN)
+    axes.set_xticks(TICKS, [f"{100 * (tick - 1):+.0f}%".replace("+0%", "0%") for tick in TICKS])
+    axes.minorticks_off()
+    axes.set_xlabel("error against the rival's")
     return Drawing(
         figure,
         "Errors relative to the rivals'",
         "Ratio of sums of errors with its 95% interval over starts; the black line is the bound of the aim. "
-        "Blue: within it; orange: beyond it; grey: not told apart by these starts.",
+        "Blue: within it; orange: beyond it; grey: not told apart by these starts. Some intervals are longer "
+        "than the axis.",
         f"{counted(len(rows), 'ratio')} of errors with intervals.",
     )
 
@@ -59,7 +67,7 @@ def draw_routes(routes: Mapping[str, Any], title: str) -> Drawing:
 
 def _heading(each: Judged, comparison: Comparison) -> str:
     where = f", {comparison.where}" if comparison.where else ""
-    return f"{each.short}{where}: {comparison.rival}"
+    return f"{each.short}{where}: {comparison.rival.replace('lawnmower from a corner', 'corner')}"
 
 
 def in_words(comparison: Comparison) -> str:

@@ -21,7 +21,6 @@ TABLES = {
     "deviation": ("Mean deviation that the process expects", (), 3),
     "regret": ("Hot spots: regret of the best place found", ("bojax, hotspots",), 3),
     "missed": ("Threshold: share of the area on its wrong side", ("bojax, threshold",), 4),
-    "f1": ("Threshold: F1 score of the set above it (larger is better)", ("bojax, threshold",), 3),
 }
 """Measures with their titles, the methods that plan for them, and digits."""
 
@@ -94,14 +93,14 @@ def _comparisons(aims: list[Judged]) -> Table:
         (
             each.short,
             [Cell(text) for text in (
-                comparison.where, comparison.rival, in_words(comparison), f"{comparison.pairs}",
-                f"{comparison.starts}", comparison.verdict,
+                comparison.where, comparison.rival, in_words(comparison), f"{comparison.starts}",
+                comparison.verdict,
             )],
         )
         for each in aims
         for comparison in each.comparisons
     ]  # fmt: skip
-    headings = ["where", "against", "error relative to it", "maps a start", "starts", "verdict"]
+    headings = ["where", "against", "error relative to it", "starts", "verdict"]
     return Table(headings, rows, "Change of the error [95% interval over starts]")
 
 

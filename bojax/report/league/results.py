@@ -24,7 +24,7 @@ class League:
     Attributes:
         about: Its description.
         errors: Errors by start, for each measure, field, length and method.
-        seconds: CPU seconds that `bojax survey` took, by length.
+        seconds: CPU seconds that `bojax survey` took after the first start, by length.
         cells: Number of its pieces.
     """
 
@@ -48,7 +48,7 @@ class League:
         for file in files:
             cell = read_json(file)
             length, start = cell["length"], cell["start"]
-            if cell["seconds"] is not None:
+            if cell["seconds"] is not None and start > 0:  # the first start compiles
                 seconds[length].append(cell["seconds"])
             for field, by_method in cell["scores"].items():
                 for method, scores in by_method.items():
