@@ -100,7 +100,11 @@ def test_planners_face_the_same_initial_states():
             ["planner=pomcpow", "planner.leaf_value.policy=to-next-ml"],
             "does not fit the problem",
         ),
-        ("vdp-tag", ["planner=vomcpow", "planner.proposal.variance=[1,1,1]"], "does not fit the problem"),
+        (
+            "vdp-tag",
+            ["planner=vomcpow", "planner.proposal.variance=[1,1,1]"],
+            "planner.proposal.variance: got 3 numbers; allowed: 1, or 2",
+        ),
     ],
 )
 def test_a_planner_that_needs_what_the_problem_lacks_is_refused(name, changes, message):
