@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bojax.cli.parser import UsageError
 from bojax.results.folder import ROOT, require_empty
+from bojax.text import one_line
 
 ID = "surveys"
 """What `bojax reproduce` calls the league."""
@@ -24,16 +25,17 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     if not args.resume:
         require_empty(out, "give another --out, or --resume a league")
     command = " ".join(["bojax", name, *words])
-    if code := _run(out, args.runs, command):
+    code = _run(out, args.runs, command)
+    if code not in (0, 1):
         return code
     from bojax.report.league.page import write_pages
 
     print(*write_pages(out), sep="\n")
-    return 0
+    return code
 
 
 def _run(out: Path, starts: int | None, command: str) -> int:
-    """Run what is left of a league, and return the exit code."""
+    """Run what is left of a league, and return the exit code; 1 if a piece failed."""
     from bojax.engine.devices import prepare
     from bojax.engine.provenance import git_revision, versions
     from bojax.engine.signals import StopRequest
@@ -63,14 +65,19 @@ def _run(out: Path, starts: int | None, command: str) -> int:
         made = {"command": command, "revision": git_revision(), "versions": versions()}
         write_json(out / LEAGUE, {**about, "provenance": made})
         cells = [cell for cell in cells_of(fields, starts) if not (out / CELLS / cell.name).exists()]
+        code = 0
         for number, cell in enumerate(cells):
             if stop:
                 _say(f"{len(cells) - number} pieces are left: --resume --out {out}")
                 return stop.exit_code
             begin = time.monotonic()
-            run_cell(cell, out / CELLS)
-            _say(f"{number + 1} of {len(cells)}: {cell.name}, {time.monotonic() - begin:.0f} s")
-    return 0
+            try:
+                run_cell(cell, out / CELLS)
+                state = f"{time.monotonic() - begin:.0f} s"
+            except ValueError as error:  # of a planner: --resume tries the piece again
+                code, state = 1, f"failed: {one_line(error)}"
+            _say(f"{number + 1} of {len(cells)}: {cell.name}, {state}")
+    return code
 
 
 def _say(text: str) -> None:

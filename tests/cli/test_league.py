@@ -43,6 +43,25 @@ def test_only_missing_pieces_are_computed(quick, tmp_path, capsys):
     assert {name[-7:] for name in quick[1:]} == {"01.json"}
 
 
+def test_a_piece_that_fails_is_one_line_and_does_not_stop_the_others(quick, tmp_path, capsys, monkeypatch):
+    working = cells.Cell.result
+
+    def result(cell):
+        if cell.name == "hotspots-elevation-20-00.json":
+            raise ValueError("no route")
+        return working(cell)
+
+    monkeypatch.setattr(cells.Cell, "result", result)
+    out = tmp_path / "league"
+    assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out)]) == 1
+    assert "hotspots-elevation-20-00.json, failed: no route\n" in capsys.readouterr().err
+    assert (out / "league.html").exists()
+    monkeypatch.setattr(cells.Cell, "result", working)
+    quick.clear()
+    assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out), "--resume"]) == 0
+    assert quick == ["hotspots-elevation-20-00.json"]
+
+
 def test_pieces_of_other_choices_are_not_mixed(quick, tmp_path, capsys):
     out = tmp_path / "league"
     assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out)]) == 0
