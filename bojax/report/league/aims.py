@@ -89,8 +89,9 @@ AIMS = (
         "SGP-Tools.",
         "not reached: level with the lawnmowers and 1 to 2% below SGP-Tools in the earlier league",
         "rmse", "bojax", 1.0, "square",
-        reason="the route is better on the field that the process has drawn itself, and worse on clouds and "
-        "bathymetry, which do not vary as it assumes: there, evenly spaced lines are safer.",
+        reason="the route is better on the field that the process has drawn itself, and worse on clouds "
+        "and, against the lawnmower, on bathymetry. These do not vary as it assumes, and evenly spaced lines "
+        "are safer there.",
     ),
     Aim(
         "RMSE of a field",
