@@ -112,7 +112,7 @@ AIMS = (
     ),
     Aim(
         "hot spots",
-        "Hot spots: the regret of the best place found by `bojax.Mission` is at least 20% below theirs, at "
+        "Hot spots: the regret of the best place found by a mission is at least 20% below theirs, at "
         "each length.",
         "reached at both lengths: legs after the first return to where the map is high",
         "regret", "bojax, hotspots", 0.8, "all", "length",
@@ -124,7 +124,7 @@ AIMS = (
     ),
     Aim(
         "threshold",
-        "Threshold: the share of the area that the map of `bojax.Mission` puts on the wrong side is at least "
+        "Threshold: the share of the area that the map of a mission puts on the wrong side is at least "
         "20% below theirs, at each length.",
         "reached at length 40, 25% below; not at 20, 5 to 10% below, since most of the square is not seen",
         "missed", "bojax, threshold", 0.8, "all", "length",
