@@ -96,8 +96,8 @@ planner: {kind: sbo, motions: kernel}
 => x.yaml: problem.field: got {…; heights, centres, widths: got 2, 1 and 1 entries; allowed: the same number
    of each
 {problem: diagonal, planner: {kind: sbo, objective: gradeint}}
-=> x.yaml: planner.objective: got "gradeint"; unknown objective; allowed: gradient, information, uncertainty, value; did
-   you mean "gradient"?
+=> x.yaml: planner.objective: got "gradeint"; unknown objective; allowed: gradient, information, uncertainty,
+   value; did you mean "gradient"?
 {problem: {kind: diagonal, objective: rbf}, planner: sbo}
 => x.yaml: problem.objective: got "rbf"; this name has the role kernel, not objective; allowed: gradient, …
 {problem: {kind: diagonal, objective: null}, planner: sbo}
