@@ -53,12 +53,12 @@ class Choices:
     the program, and the choices that were new to the folder. Programs are compiled with the choices of all
     files.
 
-    Args:
+    Attributes:
         folder: The folder, which is created with the first program.
     """
 
     def __init__(self, folder: Path):
-        self._folder = folder
+        self.folder = folder
         self._lock = threading.Lock()
         self._published: dict[str, str] = {}
         self._read: set[str] = set()
@@ -102,14 +102,14 @@ class Choices:
 
     def _publish(self, name: str, content: str) -> str:
         """Publish a program unless another process has done so; returns the hash that is published."""
-        path = self._folder / f"{name}.json"
+        path = self.folder / f"{name}.json"
         if not path.exists():
-            make_folder(self._folder)
+            make_folder(self.folder)
             with self._lock:
                 self._news()
                 published = set(self._published)
             new = measured(published)
-            own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
+            own = self.folder / f".{path.name}-{secrets.token_hex(6)}"
             write_checked_json(own, {"program": content, "choices": new}, path.name)
             with contextlib.suppress(FileExistsError):
                 link(own, path)  # of several processes, one succeeds
@@ -119,7 +119,7 @@ class Choices:
     def _news(self) -> dict[str, str]:
         """The choices of files that were not read yet, by the names of XLA's files."""
         news: dict[str, str] = {}
-        for path in sorted(self._folder.glob("[!.]*.json")):
+        for path in sorted(self.folder.glob("[!.]*.json")):
             if path.name not in self._read:
                 news.update(read_checked_json(path)["choices"])
                 self._read.add(path.name)

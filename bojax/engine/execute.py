@@ -1,6 +1,7 @@
 """The executor of one machine: a thread for each worker runs chunks; a background compiler works ahead."""
 
 import contextlib
+import functools
 import queue
 import sys
 import threading
@@ -10,6 +11,7 @@ from dataclasses import replace
 from bojax.engine import program_cache
 from bojax.engine.batch import Programs
 from bojax.engine.chunks import Chunk
+from bojax.engine.compile_processes import CompileProcesses, Request, number_of_processes
 from bojax.engine.compiler import POLL_SECONDS, BackgroundCompiler
 from bojax.engine.devices import Device, DeviceLock
 from bojax.engine.errors import Stopped
@@ -88,6 +90,8 @@ class _Executor:
             is_ready=self._compiler.is_ready,
             is_saved=_is_saved,
         )
+        new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
+        self._processes = CompileProcesses(number_of_processes(len(new), workers))
         self._locks = {device: DeviceLock(device) for device in workers}
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._compile_ahead()
@@ -121,6 +125,7 @@ class _Executor:
         for worker in self._workers:
             worker.join()
         self._compiler.close()
+        self._processes.close()
 
     def _compile_ahead(self) -> None:
         for key in self._scheduler.ahead():
@@ -130,6 +135,8 @@ class _Executor:
         """Compile programs, or load them from the cache. Those that a group starts with are shown once."""
         task, device, width = key
         is_shown = width == task.layout.lanes and device == self._scheduler.first(task)
+        start = functools.cache(lambda: self._progress.compiling(task.progress) if is_shown else None)
+        elsewhere = self._compile_elsewhere(key, start)
         programs = task.kind(
             task.functions,
             device,
@@ -138,14 +145,25 @@ class _Executor:
             recorded=task.recorded,
             wider=task.layout.wider(width),
             choices=task.storage.choices,
-            started=lambda: self._progress.compiling(task.progress) if is_shown else None,
+            started=start,
         )
+        seconds = elsewhere + programs.compile_seconds
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
                 if is_shown:
-                    self._progress.compiled(task.progress, programs.compile_seconds)
-                task.storage.note_compiled(task.group, programs.compile_seconds)
+                    self._progress.compiled(task.progress, seconds)
+                task.storage.note_compiled(task.group, seconds)
         return programs
+
+    def _compile_elsewhere(self, key: ProgramKey, started: Callable[[], None]) -> float:
+        """Have a child process compile programs that are new; returns its seconds."""
+        if not self._processes or not _is_new(key):
+            return 0.0
+        started()
+        seconds = self._processes.compile(Request.of(key))
+        if self._stop():  # which has ended the child
+            raise Stopped
+        return seconds
 
     def _work(self, device: Device) -> None:
         """A worker thread."""
@@ -259,6 +277,9 @@ class _Executor:
 
 def _is_saved(key: ProgramKey) -> bool:
     """Whether programs are in the cache."""
-    task, device, width = key
-    wider = task.layout.wider(width)
-    return program_cache.is_saved(task.kind.key_of(task.group, device, width, task.recorded, wider))
+    return program_cache.is_saved(key.name)
+
+
+def _is_new(key: ProgramKey) -> bool:
+    """Whether programs can be in the cache, but are not."""
+    return key.name is not None and not program_cache.is_saved(key.name)

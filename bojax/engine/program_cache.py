@@ -91,7 +91,11 @@ def _digest_of(group: StaticGroup, *others: object) -> str | None:
     content = jax.tree.map(_abstract, (group.swept, group.shared)), group.static
     try:
         with io.BytesIO() as file:
-            _Pickler(file).dump((content, others))
+            pickler = _Pickler(file)
+            pickler.fast = (
+                True  # without references: equal contents have equal bytes, however they came about
+            )
+            pickler.dump((content, others))
             return hashlib.sha256(file.getvalue()).hexdigest()
     except Exception:  # foreign code, or something that cannot be pickled
         return None

@@ -85,6 +85,12 @@ class ProgramKey(NamedTuple):
     device: Device
     width: int
 
+    @property
+    def name(self) -> str | None:
+        """Their name in the cache; None if they cannot be saved."""
+        task, device, width = self
+        return task.kind.key_of(task.group, device, width, task.recorded, task.layout.wider(width))
+
 
 def tasks_of(storage: FolderStorage, chunks: Sequence[Chunk], *, name_sweep: bool = False) -> list[GroupTask]:
     """The groups of a sweep that have chunks to run.

@@ -1,0 +1,93 @@
+"""Child processes compile what the parent then loads; without them, the parent compiles by itself."""
+
+import jax
+import pytest
+
+from bojax.config.sweep import load_sweep
+from bojax.engine import batch, compile_processes
+from bojax.engine.compile_processes import CompileProcesses, number_of_processes
+from tests.engine.drive import contents, run_sweep
+from tests.engine.test_program_cache import caching_in
+from tests.tiers import by_tier
+
+GIBIBYTE = 1 << 30
+
+
+class Gpu:
+    """A GPU of which JAX takes three quarters."""
+
+    platform = "gpu"
+
+    def __init__(self, gibibytes: float):
+        self._limit = int(0.75 * gibibytes * GIBIBYTE)
+
+    def memory_stats(self):
+        return {"bytes_limit": self._limit}
+
+
+CHAINS = "{base: chain, axes: {episodes: [2], env.max_length: [4, 5], env.length: [3]}}"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """An empty cache, and the file of the sweep."""
+    (tmp_path / "chains.yaml").write_text(CHAINS)
+    monkeypatch.chdir(tmp_path)
+    with caching_in(tmp_path / "cache") as programs:
+        yield programs
+
+
+@pytest.fixture
+def enough(monkeypatch):
+    """A machine with 16 cores, on which two groups are many."""
+    monkeypatch.setattr(compile_processes, "usable_cores", lambda: 16)
+    monkeypatch.setattr(compile_processes, "compile_threads", lambda: 2)
+    monkeypatch.setattr(compile_processes, "LEAST_GROUPS", 2)
+
+
+def chains():
+    """A sweep of two groups."""
+    return load_sweep("chains.yaml", [], 2, None)
+
+
+@pytest.mark.bits
+def test_the_parent_compiles_nothing_and_writes_the_same_bytes(enough, tmp_path):
+    before = batch.compile_counts.total()
+    assert run_sweep(chains(), tmp_path / "beside") == 0
+    assert batch.compile_counts.total() == before
+    with pytest.MonkeyPatch.context() as patch, caching_in(tmp_path / "other"):
+        patch.setattr(compile_processes, "LEAST_GROUPS", 3)
+        assert run_sweep(chains(), tmp_path / "alone") == 0
+    assert batch.compile_counts.total() > before
+    assert contents(tmp_path / "beside") == contents(tmp_path / "alone")
+
+
+@pytest.mark.parametrize("fault", by_tier(["dies", "refuses"], normal=["dies"]))
+def test_the_parent_compiles_what_a_child_does_not(enough, tmp_path, monkeypatch, fault):
+    start = CompileProcesses.__init__
+
+    def with_fault(self, number):
+        start(self, number)
+        for child in self._children if fault == "dies" else ():
+            child.kill()
+
+    monkeypatch.setattr(CompileProcesses, "__init__", with_fault)
+    if fault == "refuses":  # a flag with which its programs would be others
+        monkeypatch.setenv("JAX_DEFAULT_MATMUL_PRECISION", "highest")
+    before = batch.compile_counts.total()
+    assert run_sweep(chains(), tmp_path / "out") == 0
+    assert batch.compile_counts.total() > before
+
+
+def test_few_groups_few_cores_or_little_memory_start_no_process(enough, monkeypatch):
+    monkeypatch.setattr(compile_processes, "compile_threads", lambda: 8)
+    assert number_of_processes(1, []) == 0
+    assert number_of_processes(20, []) == number_of_processes(20, jax.devices("cpu")) == 8
+    assert number_of_processes(3, []) == 3
+    assert number_of_processes(20, [Gpu(80)]) == 8
+    assert number_of_processes(20, [Gpu(80), Gpu(25)]) == 3
+    assert number_of_processes(20, [Gpu(12)]) == 0
+    monkeypatch.setenv("XLA_PYTHON_CLIENT_MEM_FRACTION", "0.9")
+    assert number_of_processes(20, [Gpu(82 * 0.9 / 0.75)]) == 4
+    monkeypatch.setattr(compile_processes, "usable_cores", lambda: 4)
+    assert number_of_processes(20, []) == 0
