@@ -445,7 +445,7 @@ def _environment() -> str:
         installed(PACKAGES),
         sys.version,
         platform.machine(),
-        os.environ.get("XLA_FLAGS"),
+        os.environ.get("XLA_FLAGS") or None,
     ]
     cpus = Path("/proc/cpuinfo")
     if cpus.exists():
