@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
+from tests.compiling import IS_CPU
 
 X = np.random.default_rng(0).normal(size=(4, 3))
 INDEX = np.array([[2, 0], [1, 1]])
@@ -173,6 +174,8 @@ AWKWARD = {
 def test_awkward_numbers_are_those_of_jax():
     """As arguments of a program, and known to it; XLA's compiler fails to divide known integers by 0."""
     for name, (function, *arguments) in AWKWARD.items():
+        if name == "other types" and not IS_CPU:  # a GPU converts numbers that do not fit as it likes
+            continue
         values = [jnp.asarray(e) for x in arguments for e in np.reshape(x, -1)]
         known = ScalarProgram(lambda _, f=function, x=arguments: f(*map(jnp.asarray, x)), ROW[0])
         wanted = jax.tree.leaves(jax.jit(function)(*arguments))
