@@ -190,7 +190,9 @@ def _serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     for name, value in pickle.load(requests).items():
         if getattr(jax.config, name, value) != value:
             jax.config.update(name, value)
-    found = [*jax.devices(), *jax.devices("cpu")]
+    found = jax.devices()
+    with contextlib.suppress(RuntimeError):  # JAX_PLATFORMS leaves it out
+        found = [*found, *jax.devices("cpu")]
     devices = {(each.platform, each.id): each for each in found}
     choices: dict[Path, Choices] = {}
     while True:
