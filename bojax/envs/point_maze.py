@@ -18,8 +18,12 @@ WALLS: dict[str, list[tuple[float, float, float, float]]] = {
     "open": [],
     "wall": [(0.45, 0.0, 0.55, 0.8)],
     "maze": [(0.3, 0.0, 0.4, 0.8), (0.6, 0.2, 0.7, 1.0)],
+    "rooms": [
+        *((0.45, low, 0.55, high) for low, high in ((0.0, 0.15), (0.35, 0.65), (0.85, 1.0))),
+        *((low, 0.45, high, 0.55) for low, high in ((0.0, 0.15), (0.35, 0.65), (0.85, 1.0))),
+    ],
 }
-GOALS = {"open": (0.9, 0.9), "wall": (0.9, 0.1), "maze": (0.9, 0.9)}
+GOALS = {"open": (0.9, 0.9), "wall": (0.9, 0.1), "maze": (0.9, 0.9), "rooms": (0.9, 0.9)}
 
 
 class PointMaze(ControlTask):
@@ -28,7 +32,8 @@ class PointMaze(ControlTask):
     An action is a move along x and y, in units of the longest move; the point has no inertia. The two parts
     of a move are made one after the other, and a part that would end inside a wall or outside of the square
     is not made: the point slides along walls. With the layout `wall`, a wall has a gap at its upper end; with
-    `maze`, the way is a letter S between two walls; `open` has no walls.
+    `maze`, the way is a letter S between two walls; with `rooms`, four rooms have a door of width 0.2 between
+    any two neighbours; `open` has no walls.
 
     The classic reward is -1 a step, including the step that reaches the goal, and the goal ends the episode.
     An episode begins uniformly in a square of side 0.1 around (0.1, 0.1).
@@ -40,7 +45,7 @@ class PointMaze(ControlTask):
     goal_radius: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
-    layout: Literal["open", "wall", "maze"] = eqx.field(static=True)
+    layout: Literal["open", "wall", "maze", "rooms"] = eqx.field(static=True)
 
     @property
     @override

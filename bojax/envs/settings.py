@@ -116,8 +116,10 @@ class PointMaze(ControlTask, frozen=True):
     target: ClassVar[str] = "bojax.envs.point_maze:PointMaze"
     observation_names: ClassVar[tuple[str, str]] = ("x (sides)", "y (sides)")
     kind: Literal["point-maze"] = "point-maze"
-    layout: Literal["open", "wall", "maze"] = Field(
-        default="wall", description="walls: none, one with a gap at its upper end, or two with gaps in turn"
+    layout: Literal["open", "wall", "maze", "rooms"] = Field(
+        default="wall",
+        description="walls: none, one with a gap at its upper end, two with gaps in turn, or four rooms with "
+        "doors",
     )
     move: float = Field(
         default=0.05, gt=0, le=0.1, description="longest move along an axis, in sides of the square"
