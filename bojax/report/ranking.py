@@ -87,7 +87,8 @@ def ranking(results: Results, measure: Measure, most: int | None = None) -> list
         if runs[own][measure.column].dtype.kind == "b":
             mean, lag = statistics.share_interval(values[own]), statistics.paired_shares(both, weights)
         else:
-            mean, lag = statistics.mean_interval(values[own]), statistics.mean_interval(both @ weights)
+            mean_of = statistics.time_interval if measure.column in ENDS else statistics.mean_interval
+            mean, lag = mean_of(values[own]), statistics.mean_interval(both @ weights)
         standings.append(Standing(point, values[own].size, mean, lag))
     return standings
 

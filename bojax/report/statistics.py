@@ -1,7 +1,8 @@
 """The statistics of a report: intervals of means and shares, and Holm's procedure.
 
 Means of fewer than `FEW` runs have Student's t interval, by the jackknife where a statistic depends on
-several means; more runs have a percentile bootstrap interval. Shares of Booleans have score intervals.
+several means, and of the logarithm of a mean time; more runs have a percentile bootstrap interval. Shares
+of Booleans have score intervals.
 
 `iqm_interval` and `improvement_interval` are the estimates that Agarwal et al. (2021), Deep Reinforcement
 Learning at the Edge of the Statistical Precipice (NeurIPS), recommend for a few runs on several tasks.
@@ -197,7 +198,8 @@ def interval_of_means(
         statistic: Maps means `[..., columns]` to values `[...]`.
         values: The table, whose values are finite.
         tail: Probability outside the interval on either side.
-        is_ratio: Whether the statistic is positive, and a ratio.
+        is_ratio: Whether the statistic is positive, and its interval that of its logarithm: a ratio, or a
+            mean time.
         resampled: The means of resampled rows, if they are known.
     """
     tail = tail_in_use() if tail is None else tail
@@ -233,6 +235,20 @@ def mean_interval(values: Floats) -> Interval:
     if values.size == 0 or not np.isfinite(values).all():
         return _UNKNOWN
     return interval_of_means(lambda means: means, values)
+
+
+@_once
+def time_interval(values: Floats) -> Interval:
+    """Mean of `[n]` times, such as steps to a goal, with an interval that has no bound below 0.
+
+    Fewer than `FEW` times have the t interval of the logarithm of their mean, as is usual for times to an
+    event (Meeker and Escobar 1998, Statistical Methods for Reliability Data, section 7.3): Student's own is
+    symmetric, and of a few skewed times it reaches below 0. NaN as `mean_interval`; if a value is not
+    positive, or all are equal, the interval is that of `mean_interval`.
+    """
+    if not np.isfinite(values).all() or not 0 < values.min(initial=np.inf) < values.max(initial=0.0):
+        return mean_interval(values)
+    return interval_of_means(lambda means: means, values, is_ratio=True)
 
 
 @_once

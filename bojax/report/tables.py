@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,9 @@ BY_STEP = 6
 
 LATENCY = "latency at batch 1"
 """Heading of the column of `speeds` that only results with a measured latency have."""
+
+
+_IntervalOf: TypeAlias = Callable[[np.ndarray], statistics.Interval]
 
 
 @dataclass(frozen=True)
@@ -253,7 +256,7 @@ def _planning(limit: int) -> list[_Measure]:
         return share_cell(success.astype(bool) & (steps <= limit))
 
     def when(success: np.ndarray, steps: np.ndarray) -> Cell:
-        return mean_cell(steps[success.astype(bool)], empty="never")
+        return mean_cell(steps[success.astype(bool)], empty="never", interval=statistics.time_interval)
 
     return [
         _Measure("final return", "return", mean_cell),
@@ -264,14 +267,16 @@ def _planning(limit: int) -> list[_Measure]:
     ]
 
 
-def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
+def mean_cell(
+    values: np.ndarray, *, empty: str = MISSING, interval: _IntervalOf = statistics.mean_interval
+) -> Cell:
     """Mean with its interval; NaN if any value is NaN, which is never skipped."""
     if not values.size:
         return Cell(empty)
     bad = int((~np.isfinite(values.astype(np.float64))).sum())
     if bad:
         return Cell("NaN", f"in {counted(bad, 'run')}")
-    return interval_cell(statistics.mean_interval(values))
+    return interval_cell(interval(values))
 
 
 def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
@@ -284,13 +289,13 @@ def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
     return Cell(MISSING) if is_null else mean_cell(values)
 
 
-def among_cell(values: np.ndarray) -> Cell:
+def among_cell(values: np.ndarray, interval: _IntervalOf = statistics.mean_interval) -> Cell:
     """Mean and standard deviation over the runs that have a value, and the number of these runs."""
     there = values[np.isfinite(values)]
     among = "" if there.size == values.size else f"{there.size:,} of {values.size:,}"
     if not there.size:
         return Cell("never", among)
-    text, bounds = statistics.mean_interval(there).in_words()
+    text, bounds = interval(there).in_words()
     if there.size == 1:
         return Cell(text, ", ".join(filter(None, [bounds, among])))
     spread = number(float(there.std(ddof=1)))
@@ -300,7 +305,7 @@ def among_cell(values: np.ndarray) -> Cell:
 def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
     """Lower bound of the mean over all runs: a run that never reached the goal counts with its end."""
     is_there = np.isfinite(values)
-    text, bounds = statistics.mean_interval(np.where(is_there, values, ends)).in_words()
+    text, bounds = statistics.time_interval(np.where(is_there, values, ends)).in_words()
     return Cell(text if is_there.all() else f"\N{GREATER-THAN OR EQUAL TO} {text}", bounds)
 
 
@@ -328,11 +333,15 @@ def setting_cell(value: Any) -> Cell:
     return Cell(plain(value), key=value if is_number(value) else plain(value))
 
 
+def _times_among(values: np.ndarray) -> Cell:
+    return among_cell(values, statistics.time_interval)
+
+
 def _times(column: str, end: str) -> list[_Measure]:
     """When a goal was reached, NaN for never, in runs that ended at `end`."""
     words = heading(column)
     return [
-        _Measure(f"{words}, runs that reached it", column, among_cell),
+        _Measure(f"{words}, runs that reached it", column, _times_among),
         _Measure(f"{words}, all runs", f"{column}_of_all", censored_cell, (column, end)),
     ]
 

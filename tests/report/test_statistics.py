@@ -49,6 +49,31 @@ def test_few_runs_have_the_t_interval_of_scipy():
     assert (low[1], high[1]) == pytest.approx(statistics.central(statistics.bootstrap_means(table[:, 1])))
 
 
+def test_few_times_have_the_t_interval_of_the_logarithm_of_their_mean():
+    """With the jackknife written out; it covers an exponential mean as often as it says, unlike Student's."""
+    times = np.random.default_rng(1).exponential(300.0, size=5)
+    left_out = np.log([np.delete(times, i).mean() for i in range(5)])
+    half = scipy.stats.t.ppf(0.975, 4) * np.sqrt(4 / 5 * ((left_out - left_out.mean()) ** 2).sum())
+    ours = statistics.time_interval(times)
+    assert (ours.low, ours.high) == pytest.approx(times.mean() * np.exp([-half, half]))
+
+    samples = np.random.default_rng(2).exponential(size=(2000, 5))
+    for interval, low, high in ((statistics.time_interval, 0.92, 0.96), (statistics.mean_interval, 0.8, 0.9)):
+        found = [interval(sample) for sample in samples]
+        assert low < np.mean([each.low <= 1 <= each.high for each in found]) < high
+        lowest = min(each.low for each in found)
+        assert (lowest > 0) == (interval is statistics.time_interval)
+
+
+def test_times_of_many_runs_and_no_times_have_the_interval_of_a_mean():
+    times = np.random.default_rng(1).exponential(300.0, size=60)
+    assert statistics.time_interval(times) == statistics.mean_interval(times)
+    assert statistics.time_interval([0.0, 1.0, 2.0]) == statistics.mean_interval([0.0, 1.0, 2.0])
+    assert np.isnan(statistics.time_interval([]).estimate)
+    same = statistics.time_interval([7.0] * 4)
+    assert (same.low, same.high) == (7.0, 7.0)
+
+
 def test_the_ratio_of_few_runs_has_the_t_interval_of_its_logarithm():
     """The jackknife's error of a smooth statistic is that of its linearisation, up to order 1 / n."""
     random = np.random.default_rng(3)
