@@ -92,7 +92,8 @@ def main(name: str, words: Sequence[str]) -> int:
         return dry_run(args, names, _folders(args.out or dated_folder(names[0]), names))
     folders = _folders(args.out, names) if args.out else [None] * len(names)
     command = ["bojax", name, *words]
-    return run([resolved(sweep) for sweep in sweeps], folders, args.resume, command, launching=args)
+    sweeps = [resolved(sweep) for sweep in sweeps]
+    return run(sweeps, folders, args.resume, command, launching=args, has_baseline=name == "run")
 
 
 def _folders(out: Path, names: Sequence[str]) -> list[Path]:
@@ -141,11 +142,12 @@ def run(
     *,
     launching: Namespace = INLINE,
     reports: bool = True,
+    has_baseline: bool = False,
 ) -> int:
     """Run resolved sweeps, write their reports, and return the exit code of `bojax.engine.run.run_sweeps`.
 
     A folder is None for `results/NAME/TIME`. `launching` has the options of `add_launching`. Without
-    `reports`, a sweep ends with its tables.
+    `reports`, a sweep ends with its tables. With `has_baseline`, random actions are run beside a learner.
     """
     from bojax.engine.signals import StopRequest, stop_with_parent
 
@@ -163,17 +165,24 @@ def run(
         return stop.exit_code
 
     from bojax.cli.background import Reports
+    from bojax.engine.baseline import write_baseline
 
     if is_read_by_a_process():
         stop_with_parent()
     launcher, devices = launcher_of(launching)
     requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
     with launcher or nullcontext(), Reports(in_background=reports and len(sweeps) > 1) as writer:
+
+        def finish(folder: Path) -> None:
+            if has_baseline:
+                write_baseline(sweeps[0], folder)
+            writer.write(folder)
+
         code = run_sweeps(
             requests,
             resume,
             command,
-            finish=writer.write if reports else lambda _: None,
+            finish=finish if reports else lambda _: None,
             launcher=launcher,
             indices=devices,
             planned=writer.prepare if reports else lambda: None,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -28,6 +28,10 @@ _OF_RUN = 2**32 - 1
 """Counter of the key of the properties that all episodes of a run share; episodes have smaller counters."""
 
 _START = 2**32 - 2  # counter of the key of the initial state that all episodes of a run share
+
+
+Starts: TypeAlias = Literal["per-episode", "per-run"]
+"""Whether every episode draws its initial state, or all those of a run share one."""
 
 
 class RunState(eqx.Module):
@@ -78,12 +82,17 @@ def reset_key(
     run: Key[Array, ""],
     episode: Int[Array, ""],
     counter: Int[Array, ""] | int,
-    starts: Literal["per-episode", "per-run"],
+    starts: Starts,
 ) -> Key[Array, ""]:
     """Key of the initial state of an episode, numbered from 1, or with counter 2 n of its test n."""
     if starts == "per-run":
         return jax.random.fold_in(run, _START)
     return jax.random.fold_in(_episode_key(run, episode, counter), 0)
+
+
+def env_of_run(env: Env, run: Key[Array, ""]) -> Env:
+    """The environment with the properties that all episodes of a run share."""
+    return env.of_run(jax.random.fold_in(run, _OF_RUN))
 
 
 class LearningRun(Experiment):
@@ -99,7 +108,7 @@ class LearningRun(Experiment):
     saved: LearnerState
     episodes: int = eqx.field(static=True)
     action_repeat: int = eqx.field(static=True)
-    starts: Literal["per-episode", "per-run"] = eqx.field(static=True)
+    starts: Starts = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
     tests_learn: Literal["no", "exploiting", "exploring"] = eqx.field(static=True)
@@ -290,7 +299,7 @@ class LearningRun(Experiment):
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
         """Initial state and observation of an episode of a compiled environment."""
-        env = self.env.of_run(jax.random.fold_in(carry.key, _OF_RUN))
+        env = env_of_run(self.env, carry.key)
         state = env.reset(phase.reset_key)
         return state, env.observe(state)
 

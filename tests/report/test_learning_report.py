@@ -8,6 +8,7 @@ import pytest
 from bojax.claims.samples import by_episode
 from bojax.config.claims import Window
 from bojax.report import tables
+from bojax.report.baseline import baselines
 from bojax.report.build import build_report
 from bojax.report.columns import Columns
 from bojax.report.drawing.base import FigureUnavailable
@@ -20,6 +21,9 @@ from bojax.report.figures.sweep_curve import curves_over
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.report.text import MISSING
+from bojax.results.baseline import COLUMNS, FILE
+from bojax.results.store import write_table
+from bojax.results.tables import to_arrow
 from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_results
 from tests.report.test_report import Page
 
@@ -325,3 +329,42 @@ def test_a_planner_has_no_curve_beyond_its_time_limit(tmp_path):
         known = np.isfinite(heights(axes, 4))
         assert known[:10].all() and not known[10:].any(), name
         assert np.isfinite(heights(axes)).all()
+
+
+class TestBaseline:
+    """Random actions of 6 runs and 20 episodes: held ones reach the goal in episode 3 of every other run."""
+
+    @pytest.fixture
+    def folder(self, tmp_path):
+        folder = write_learning(tmp_path / "results")
+        repeat, run, episode = (x.ravel() for x in np.meshgrid([1, 8], range(6), range(1, 21), indexing="ij"))
+        success = (repeat == 8) & (run % 2 == 0) & (episode == 3)
+        columns = {"action_repeat": repeat, "run": run, "episode": episode, "success": success}
+        columns |= {"return": success.astype(float), "length": np.full(repeat.shape, 9)}
+        write_table(folder / FILE, to_arrow(COLUMNS, columns))
+        return folder
+
+    def test_its_shares_are_drawn_beside_the_learners(self, folder):
+        drawing = drawn("success-episodes", load(folder))
+        *_, alone, held = drawing.figure.axes[0].get_lines()[:5]
+        np.testing.assert_array_equal(alone.get_ydata(), 0.0)
+        np.testing.assert_array_equal(held.get_ydata(), np.repeat([0.0, 0.5], [3, len(held.get_ydata()) - 3]))
+        assert drawing.curves[-2:] == ["random actions", "random actions, held"]
+        assert "Random actions learn nothing" in drawing.caption
+
+    def test_its_returns_are_drawn_for_training_alone(self, folder):
+        train, test = drawn("learning-curves", load(folder)).figure.axes
+        np.testing.assert_array_equal(heights(train, 4), [0, 0, 0.5, *[0] * 17])
+        assert len(test.get_lines()) == 4  # three learners, and the line at 0
+
+    def test_the_last_return_of_a_run_that_its_first_success_ends_is_held(self, folder):
+        results = load(folder)
+        point = results.points[0]
+        early = point.experiment.model_copy(update={"stop": "first-success"})
+        points = (replace(point, experiment=early), *results.points[1:])
+        _, held = baselines(replace(results, points=points))
+        np.testing.assert_array_equal(held.returns[:, 1:4].T, [[0] * 6, [1, 0] * 3, [1, 0] * 3])
+        np.testing.assert_array_equal(held.first, [3, np.nan] * 3)
+
+    def test_other_folders_have_none(self, tmp_path):
+        assert baselines(load(write_learning(tmp_path / "results"))) == []

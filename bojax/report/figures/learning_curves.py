@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from bojax.report import style
+from bojax.report.baseline import NOTE, baselines
 from bojax.report.budgets import KEPT
 from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
@@ -35,11 +36,15 @@ def draw(results: Results) -> Drawing:
         raise FigureUnavailable("no run had more than one episode")
     points, note = drawn_points(results)
     rolling = results.report.rolling or 1
-    panels = []
+    panels, others = [], baselines(results)
     for phase, (label, quantity) in _PANELS.items():
         if (results.episodes["phase"] == phase).any():
             tables = [rolling_mean(results.by_episode(point, "return", phase), rolling) for point in points]
             curves = [Curve.numbered(*pair, first=1) for pair in zip(points, tables, strict=True)]
+            if phase == "train":
+                tables = [rolling_mean(each.returns[:, : results.num_episodes], rolling) for each in others]
+                pairs = zip((each.point for each in others), tables, strict=True)
+                curves += [Curve.numbered(*pair, first=1) for pair in pairs]
             missing = (
                 "A run that ended otherwise is left out after its last episode." if phase == "train" else ""
             )
@@ -57,6 +62,7 @@ def draw(results: Results) -> Drawing:
         else "",
         "" if best is None else f"Dashed: the best return possible, {number(best)}.",
         "Extreme values lie beyond the axis." if is_cut else "",
+        NOTE if others else "",
     ]
     return chart.drawing("Learning curves", " ".join(filter(None, details)), note)
 
