@@ -55,6 +55,15 @@ def test_a_config_runs(calls):
     assert out == Path("mine") and sweep.points[0].config.planner.depth == 2
 
 
+@pytest.mark.parametrize("command", ["run", "sweep"])
+def test_random_actions_are_run_beside_a_config_and_before_its_report(calls, command, monkeypatch):
+    made, _ = calls
+    monkeypatch.setattr("bojax.engine.baseline.write_baseline", lambda sweep, _: made.append(sweep.name))
+    assert main([command, "point-maze" if command == "run" else "study-point-maze"]) == 0
+    names = [each if isinstance(each, str) else each[0] for each in made]
+    assert names == (["run", "point-maze", "report"] if command == "run" else ["run", "report"])
+
+
 def test_several_sweeps_get_folders_of_their_own(calls):
     made, codes = calls
     codes |= {"fig-4.2": 0, "fig-4.6": 0}  # without reports, which other processes would write
