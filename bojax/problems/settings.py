@@ -155,7 +155,9 @@ _Weighting = Annotated[
 ]
 
 
-class _Parking(ProblemSettings, frozen=True):
+class ParkingSettings(ProblemSettings, frozen=True):
+    """Parking of a robot."""
+
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
     half_width: _HalfWidth = 4.0
@@ -202,13 +204,13 @@ class _Parking(ProblemSettings, frozen=True):
         return self.exit_terminates
 
 
-class Parking(_Parking, frozen=True):
+class Parking(ParkingSettings, frozen=True):
     """Robot parking: reach the centre of a square at a given heading (thesis, Section 4.7.2)."""
 
     kind: Literal["parking"] = "parking"
 
 
-class RobotParking(_Parking, frozen=True):
+class RobotParking(ParkingSettings, frozen=True):
     """Parking of a wheeled robot that drives forward only, in 3 x 3 m (thesis, p. 101-102, Fig. 4.8)."""
 
     kind: Literal["robot-parking"] = "robot-parking"

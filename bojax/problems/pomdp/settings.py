@@ -6,7 +6,10 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 from typing_extensions import override
 
-from bojax.problems.settings import ProblemSettings
+from bojax.config.component import Component, Slot
+from bojax.motions.settings import ContinuousMotions, CubicCurves
+from bojax.problems.settings import Parking, ParkingSettings, ProblemSettings
+from bojax.results.outline import Outline
 
 
 class StateProblemSettings(ProblemSettings, frozen=True):
@@ -255,3 +258,39 @@ class Lqg(StateProblemSettings, frozen=True):
     action_bound: float = Field(default=10.0, gt=0, description="greatest component of an action")
     discount: _Discount = 1.0
     max_steps: _MaxSteps = 2
+
+
+class UncertainPose(StateProblemSettings, frozen=True):
+    """Parking, or another problem of a robot's pose, with a belief of particles about the pose."""
+
+    target: ClassVar[str] = "bojax.problems.pomdp.uncertain_pose:UncertainPose"
+    kind: Literal["uncertain-pose"] = "uncertain-pose"
+    problem: Annotated[Component, Slot("problem", only=ParkingSettings)] = Field(
+        default=Parking(), description="problem of the robot's pose, with its noise; the vehicle is exact"
+    )
+    motions: Annotated[Component, Slot("motions", only=ContinuousMotions)] = Field(
+        default=CubicCurves(), description="family of trajectories; an action is its parameters"
+    )
+    discount: _Discount = 1.0
+
+    @property
+    @override
+    def outline(self) -> Outline:
+        problem = self.problem
+        return problem.outline if isinstance(problem, ProblemSettings) else Outline()
+
+    @property
+    @override
+    def has_success(self) -> bool:
+        return True
+
+    @property
+    @override
+    def ends_at_success(self) -> bool:
+        return True
+
+    @property
+    @override
+    def ends_at_exit(self) -> bool:
+        problem = self.problem
+        return isinstance(problem, ProblemSettings) and problem.ends_at_exit
