@@ -1,15 +1,20 @@
-"""Planners on beliefs of particles: their base class, and policies without search."""
+"""Planners on beliefs of particles: their base class, tree searches, and policies without search."""
+
+import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
 from bojax.models.checks import is_known
 from bojax.planning.base import Plan, Planner
-from bojax.planning.leaf_values import Policy
+from bojax.planning.belief_search import BeliefTreeSearch
+from bojax.planning.belief_tree import BeliefTree
+from bojax.planning.leaf_values import LeafValue, Policy, StateValue
 from bojax.planning.oracles import policy_named
 from bojax.problems import particles
 from bojax.problems.base import Problem
@@ -81,3 +86,71 @@ class PolicyPlanner(BeliefPlanner):
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
         action = self.policy(problem, key, belief)
         return Plan(action, None, jnp.full_like(problem.discount, jnp.nan), jnp.zeros((), jnp.int32))
+
+
+class States(NamedTuple):
+    """States of equal weight that a leaf value is estimated from, and which of them are not terminal."""
+
+    states: Float[Array, "M D"]
+    alive: Bool[Array, "M"]
+
+
+class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
+    """A planner that searches a tree of beliefs about the state of a `StateProblem`.
+
+    Attributes:
+        leaf_value: Estimate of the value of a new belief.
+        first_action: Policy that gives the first action of the root; None to propose it as the others. Not
+            used if the space is discrete.
+    """
+
+    leaf_value: eqx.AbstractVar[LeafValue]
+    first_action: eqx.AbstractVar[Policy | None]
+
+    @override
+    def check(self, problem: Problem) -> None:
+        if isinstance(problem, StateProblem) and isinstance(self.leaf_value, StateValue):
+            key = jax.random.key(0)
+            if jax.eval_shape(lambda: problem.heuristic_value(problem.initial(key))) is None:
+                raise ValueError("planner.leaf_value: got state-value; the problem has no values of states")
+        super().check(problem)
+        if self.first_action is not None:
+            check_policy("planner.first_action", self.first_action, problem)
+
+    @override
+    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
+        best = self.recommended(self.search(key, problem, belief))
+        return Plan(problem.actions.decode(best.parameters), None, best.value, best.visits)
+
+    @override
+    def states(self, key: Key[Array, ""], belief: Particles) -> Float[Array, "N D"]:
+        return draw_states(key, belief, self.iterations)
+
+    @override
+    def first(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Num[Array, "P"] | None:
+        if self.first_action is None:
+            return None
+        return problem.actions.encode(self.first_action(problem, key, belief))
+
+    @abc.abstractmethod
+    @override
+    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+        """States to estimate a leaf value from at `node`, where the horizon is reached."""
+
+    @override
+    def value_of(
+        self, key: Key[Array, ""], problem: StateProblem, leaf: States, remaining: Int[Array, ""]
+    ) -> Float[Array, ""]:
+        return self.leaf_value(key, problem, leaf.states, leaf.alive, remaining)
+
+
+def draw_states(key: Key[Array, ""], belief: Particles, number: int) -> Float[Array, "N D"]:
+    """Independent states of a belief, drawn by weight among those that are not terminal."""
+    log_weights = jnp.where(belief.terminal, -jnp.inf, belief.log_weights)
+    largest = jnp.max(log_weights)
+    # A belief without a weight, or with terminal states only, has no state to draw: any will do.
+    weights = jnp.where(jnp.isfinite(largest), jnp.exp(log_weights - largest), 1.0)
+    ends = jnp.cumsum(weights)
+    at = jax.random.uniform(key, (number,), ends.dtype) * ends[-1]
+    indices = jnp.searchsorted(ends, at, side="right")
+    return belief.states[jnp.minimum(indices, jnp.searchsorted(ends, ends[-1]))]

@@ -1,34 +1,33 @@
-"""Tree search over beliefs with double progressive widening: what PFT-DPW and POMCPOW share.
+"""Tree search over beliefs with double progressive widening: what PFT-DPW, POMCPOW and path-dpw share.
 
 Sunberg and Kochenderfer, Online algorithms for POMDPs with continuous state, action, and observation spaces
 (ICAPS 2018), Algorithms 1 to 3, without recursion: descend, expand, back up.
 """
 
 import abc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
-from typing_extensions import override
 
 from bojax.numerics.choices import Choice
 from bojax.numerics.lanes import any_lane, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
-from bojax.planning.base import Plan
-from bojax.planning.belief_planner import BeliefPlanner, check_policy
 from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
-from bojax.planning.leaf_values import LeafValue, Policy, StateValue
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT, write_row
 from bojax.problems.actions import Discrete
-from bojax.problems.base import Problem
-from bojax.problems.particles import Particles
-from bojax.problems.state_space import StateProblem
 
 RECOMMENDATIONS = "value", "visits"
 """Rules by which a search recommends an action: the highest value, or the most visits."""
+
+Model = Any
+"""What is searched: a state problem, or any module with its `actions` and `discount`."""
+
+Leaf = Any
+"""What the value of a belief is estimated from: a tree of arrays."""
 
 
 class Expansion(eqx.Module):
@@ -38,19 +37,26 @@ class Expansion(eqx.Module):
         belief: What the tree stores for its belief node.
         reward: Reward of the action.
         is_terminal: Whether the episode ends with it.
-        states: States that the leaf value is estimated from.
-        alive: Which of them are not terminal.
+        leaf: What the value of its belief is estimated from.
     """
 
     belief: Belief
     reward: Float[Array, ""]
     is_terminal: Bool[Array, ""]
-    states: Float[Array, "M D"]
-    alive: Bool[Array, "M"]
+    leaf: Leaf
 
 
-class BeliefSearch(BeliefPlanner):
-    """A planner that searches a tree of beliefs; a final class defines beliefs and how they are simulated.
+class Recommendation(NamedTuple):
+    """The action of the root that a search recommends, by its place there and its parameters."""
+
+    slot: Int[Array, ""]
+    parameters: Num[Array, "P"]
+    value: Float[Array, ""]
+    visits: Int[Array, ""]
+
+
+class BeliefTreeSearch(eqx.Module):
+    """The search of a tree of beliefs; a final class defines beliefs and how they are simulated.
 
     Every iteration descends from the root, at each belief node to the action that maximises
     Q + c sqrt(ln N / n), and on to a uniform draw among the branches of that action, until progressive
@@ -62,10 +68,7 @@ class BeliefSearch(BeliefPlanner):
         action_widening: Rule by which actions are added; of a discrete space all actions exist at once.
         observation_widening: Rule by which branches are added.
         proposal: How a new action is chosen.
-        leaf_value: Estimate of the value of a new belief.
         recommendation: Whether the plan is the action of the highest "value" or that of most "visits".
-        first_action: Policy that gives the first action of the root; None to propose it as the others. Not
-            used if the space is discrete.
         iterations: Simulations a plan.
         depth: Actions to the horizon.
         max_actions: Capacity of a belief node; ignored for a discrete space. Widening stops there.
@@ -76,27 +79,23 @@ class BeliefSearch(BeliefPlanner):
     action_widening: eqx.AbstractVar[Widening]
     observation_widening: eqx.AbstractVar[Widening]
     proposal: eqx.AbstractVar[Proposal]
-    leaf_value: eqx.AbstractVar[LeafValue]
     recommendation: eqx.AbstractVar[Choice]
-    first_action: eqx.AbstractVar[Policy | None]
     iterations: eqx.AbstractVar[int]
     depth: eqx.AbstractVar[int]
     max_actions: eqx.AbstractVar[int]
     max_branches: eqx.AbstractVar[int]
 
-    @override
-    def check(self, problem: Problem) -> None:
-        if isinstance(problem, StateProblem) and isinstance(self.leaf_value, StateValue):
-            key = jax.random.key(0)
-            if jax.eval_shape(lambda: problem.heuristic_value(problem.initial(key))) is None:
-                raise ValueError("planner.leaf_value: got state-value; the problem has no values of states")
-        super().check(problem)
-        if self.first_action is not None:
-            check_policy("planner.first_action", self.first_action, problem)
+    @abc.abstractmethod
+    def root(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Belief:
+        """What the tree stores for the root."""
 
     @abc.abstractmethod
-    def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Belief:
-        """What the tree stores for the root."""
+    def states(self, key: Key[Array, ""], belief: Belief) -> Float[Array, "N D"]:
+        """The state that each iteration starts with; empty if only beliefs are simulated."""
+
+    def first(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Num[Array, "P"] | None:
+        """Parameters of the first action of the root; None to propose it as the others."""
+        return None
 
     @abc.abstractmethod
     def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
@@ -106,7 +105,7 @@ class BeliefSearch(BeliefPlanner):
     def follow(
         self,
         key: Key[Array, ""],
-        problem: StateProblem,
+        problem: Model,
         tree: BeliefTree,
         state: Float[Array, "D"],
         action: Float[Array, "K"],
@@ -123,7 +122,7 @@ class BeliefSearch(BeliefPlanner):
     def expand(
         self,
         key: Key[Array, ""],
-        problem: StateProblem,
+        problem: Model,
         tree: BeliefTree,
         state: Float[Array, "D"],
         node: Int[Array, ""],
@@ -132,29 +131,29 @@ class BeliefSearch(BeliefPlanner):
         """A new branch of an action at the belief node `node`."""
 
     @abc.abstractmethod
-    def states_at(
-        self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]
-    ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
-        """States to estimate a leaf value from at `node`, as in `Expansion`, where the horizon is reached."""
+    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> Leaf:
+        """What a value is estimated from at `node`, as in `Expansion`, where the horizon is reached."""
 
-    @override
-    def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
-        tree = self.search(key, problem, belief)
+    @abc.abstractmethod
+    def value_of(
+        self, key: Key[Array, ""], problem: Model, leaf: Leaf, remaining: Int[Array, ""]
+    ) -> Float[Array, ""]:
+        """The value of a belief from which `remaining` actions are left; 0 of them at the horizon."""
+
+    def recommended(self, tree: BeliefTree) -> Recommendation:
+        """The action to execute."""
         values, visits = tree.mean_returns(jnp.asarray(ROOT, jnp.int32)), tree.totals[ROOT, :, 0]
         slot = jnp.argmax(jnp.where(self.recommendation.is_("value"), values, visits))
         parameters = tree.parameters[tree.children[ROOT, slot]]
-        action = problem.actions.decode(parameters)
-        return Plan(action, None, values[slot], visits[slot].astype(jnp.int32))
+        return Recommendation(slot, parameters, values[slot], visits[slot].astype(jnp.int32))
 
-    def search(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> BeliefTree:
+    def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> BeliefTree:
         """The tree after all iterations."""
         key_root, key_states, key_first, key_search = jax.random.split(simulation_key(key), 4)
         space = problem.actions
         num_actions = space.count if isinstance(space, Discrete) else self.max_actions
         example = jax.eval_shape(space.sample, key)
-        first = None
-        if self.first_action is not None:
-            first = space.encode(self.first_action(problem, key_first, belief))
+        first = self.first(key_first, problem, belief)
         tree = BeliefTree.rooted(
             self.root(key_root, problem, belief),
             jnp.zeros(example.shape, example.dtype),
@@ -163,7 +162,7 @@ class BeliefSearch(BeliefPlanner):
             self.max_branches,
             num_totals=2 if self.proposal.target is None else 4,
         )
-        states = draw_states(key_states, belief, self.iterations)
+        states = self.states(key_states, belief)
         for_actions = self.action_widening.thresholds(num_actions)
         if isinstance(space, Discrete):
             for_actions = jnp.zeros_like(for_actions)
@@ -176,7 +175,7 @@ class BeliefSearch(BeliefPlanner):
 
     def _iterate(
         self,
-        problem: StateProblem,
+        problem: Model,
         rules: "_Rules",
         first: Num[Array, "P"] | None,
         tree: BeliefTree,
@@ -192,14 +191,11 @@ class BeliefSearch(BeliefPlanner):
         parameters = self._propose(problem, first, tree, key_proposal, end)
         action = problem.actions.decode(parameters)
         expansion = self.expand(key_expansion, problem, tree, end.state, end.node, action)
-        at_horizon = self.states_at(tree, end.state, end.node)
-        states, alive = (
-            jnp.where(end.is_expanded, new, old)
-            for new, old in zip((expansion.states, expansion.alive), at_horizon, strict=True)
-        )
+        at_horizon = self.leaf_at(tree, end.state, end.node)
+        leaf = jax.tree.map(lambda new, old: jnp.where(end.is_expanded, new, old), expansion.leaf, at_horizon)
         is_over = end.is_expanded & expansion.is_terminal
         remaining = jnp.where(end.is_expanded & ~is_over, self.depth - 1 - end.level, 0)
-        future = self.leaf_value(key_leaf, problem, states, alive, remaining)
+        future = self.value_of(key_leaf, problem, leaf, remaining)
         gain = expansion.reward + jnp.where(is_over, 0.0, problem.discount * future)
 
         growth = Growth(
@@ -219,7 +215,7 @@ class BeliefSearch(BeliefPlanner):
 
     def _descend(
         self,
-        problem: StateProblem,
+        problem: Model,
         rules: "_Rules",
         tree: BeliefTree,
         key: Key[Array, ""],
@@ -298,7 +294,7 @@ class BeliefSearch(BeliefPlanner):
 
     def _propose(
         self,
-        problem: StateProblem,
+        problem: Model,
         first: Num[Array, "P"] | None,
         tree: BeliefTree,
         key: Key[Array, ""],
@@ -395,15 +391,3 @@ class _Descent(eqx.Module):
     nodes: Int[Array, "H"]
     slots: Int[Array, "H"]
     rewards: Float[Array, "H"]
-
-
-def draw_states(key: Key[Array, ""], belief: Particles, number: int) -> Float[Array, "N D"]:
-    """Independent states of a belief, drawn by weight among those that are not terminal."""
-    log_weights = jnp.where(belief.terminal, -jnp.inf, belief.log_weights)
-    largest = jnp.max(log_weights)
-    # A belief without a weight, or with terminal states only, has no state to draw: any will do.
-    weights = jnp.where(jnp.isfinite(largest), jnp.exp(log_weights - largest), 1.0)
-    ends = jnp.cumsum(weights)
-    at = jax.random.uniform(key, (number,), ends.dtype) * ends[-1]
-    indices = jnp.searchsorted(ends, at, side="right")
-    return belief.states[jnp.minimum(indices, jnp.searchsorted(ends, ends[-1]))]

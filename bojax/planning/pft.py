@@ -8,7 +8,8 @@ from typing_extensions import override
 
 from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane
-from bojax.planning.belief_search import RECOMMENDATIONS, BeliefSearch, Expansion
+from bojax.planning.belief_planner import BeliefSearch, States
+from bojax.planning.belief_search import RECOMMENDATIONS, Expansion
 from bojax.planning.belief_tree import BeliefTree, Widening, row
 from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums
 from bojax.planning.oracles import policy_named
@@ -228,13 +229,11 @@ class PFT(BeliefSearch):
         if self.information is not None:
             gained = entropy(belief.weighted().log_weights, belief.states) - later
             reward = reward + self.information * jnp.where(is_terminal, 0.0, gained)
-        return Expansion(after, reward, is_terminal, after.states, after.alive)
+        return Expansion(after, reward, is_terminal, States(after.states, after.alive))
 
     @override
-    def states_at(
-        self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]
-    ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
-        return row(tree.beliefs.states, node), row(tree.beliefs.alive, node)
+    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+        return States(row(tree.beliefs.states, node), row(tree.beliefs.alive, node))
 
 
 class BeliefRollout(LeafValue):

@@ -8,7 +8,8 @@ from typing_extensions import override
 
 from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.simulation_keys import random_index
-from bojax.planning.belief_search import RECOMMENDATIONS, BeliefSearch, Expansion
+from bojax.planning.belief_planner import BeliefSearch, States
+from bojax.planning.belief_search import RECOMMENDATIONS, Expansion
 from bojax.planning.belief_tree import BeliefTree, Widening, row
 from bojax.planning.leaf_values import LeafValue, Policy
 from bojax.planning.oracles import policy_named
@@ -126,13 +127,11 @@ class POMCPOW(BeliefSearch):
             _log_weight(problem, observation, state, action, next_state),
         )
         # A terminal state ends this simulation, not the branch: others may pass with a state that goes on.
-        return Expansion(belief, reward, ended, next_state[None], ~ended[None])
+        return Expansion(belief, reward, ended, States(next_state[None], ~ended[None]))
 
     @override
-    def states_at(
-        self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]
-    ) -> tuple[Float[Array, "M D"], Bool[Array, "M"]]:
-        return state[None], jnp.ones((1,), bool)
+    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+        return States(state[None], jnp.ones((1,), bool))
 
 
 def _packed(state: Float[Array, "D"], reward: Float[Array, ""], ended: Bool[Array, ""]) -> Float[Array, "S"]:

@@ -304,7 +304,7 @@ class Policy(BeliefPlannerSettings, frozen=True):
     policy: _Policy = Field(default="qmdp", description="policy, each made for some of the problems")
 
 
-class _BeliefSearch(BeliefPlannerSettings, frozen=True):
+class _Widened(PlannerSettings, frozen=True):
     exploration: float = Field(default=110.0, ge=0, description="factor c of the exploration bonus")
     action_widening: Annotated[Component, Slot("widening")] = Field(
         default=Widening(), description="number of actions of a belief"
@@ -315,19 +315,22 @@ class _BeliefSearch(BeliefPlannerSettings, frozen=True):
     proposal: Annotated[Component, Slot("proposal")] = Field(
         default=RandomProposal(), description="new actions of a space that is not a list"
     )
-    leaf_value: Annotated[Component, Slot("leaf-value")] = Field(
-        default=Rollout(), description="value of a new belief"
-    )
     recommendation: Literal["value", "visits"] = Field(
         default="value", description="whether the plan has the highest value or most visits"
+    )
+    iterations: int = Field(default=1000, ge=1, description="simulations per plan")
+    max_actions: int = Field(default=40, ge=1, description="capacity of a belief, unless actions are a list")
+    max_branches: int = Field(default=16, ge=1, description="capacity of an action; 1: no branching")
+
+
+class _BeliefSearch(_Widened, BeliefPlannerSettings, frozen=True):
+    leaf_value: Annotated[Component, Slot("leaf-value")] = Field(
+        default=Rollout(), description="value of a new belief"
     )
     first_action: _Policy | None = Field(
         default=None, description="policy that gives the first action of the root; null for none"
     )
-    iterations: int = Field(default=1000, ge=1, description="simulations per plan")
     depth: int = Field(default=10, ge=1, description="actions up to the horizon")
-    max_actions: int = Field(default=40, ge=1, description="capacity of a belief, unless actions are a list")
-    max_branches: int = Field(default=16, ge=1, description="capacity of an action; 1: no branching")
 
 
 class PFTDPW(_BeliefSearch, frozen=True):
@@ -370,4 +373,28 @@ class VOMCPOW(_WeightedAsSimulated, frozen=True):
     )
     proposal: Annotated[Component, Slot("proposal")] = Field(
         default=VoronoiProposal(), description="new actions of a space that is not a list"
+    )
+
+
+class PathDPW(_Widened, frozen=True):
+    """Tree search on paths with several imagined observations an action (after PFT-DPW, Algorithm 3)."""
+
+    target: ClassVar[str] = "bojax.planning.path_dpw:PathDPW"
+    kind: Literal["path-dpw"] = "path-dpw"
+    motions: _Continuous = KernelTrajectories()
+    exploration: float = Field(
+        default=300.0, ge=0, description="factor c of the exploration bonus, in units of the return"
+    )
+    action_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(coefficient=20.0, exponent=1 / 25), description="number of actions of a belief"
+    )
+    observation_widening: Annotated[Component, Slot("widening")] = Field(
+        default=Widening(coefficient=8.0, exponent=1 / 85), description="number of observations of an action"
+    )
+    iterations: int = Field(default=300, ge=1, description="simulations per plan")
+    depth: Annotated[int, LEVELS.bound()] = Field(default=3, ge=1, description="actions up to the horizon")
+    discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
+    objective: _Objective = None
+    num_rollout_paths: int = Field(
+        default=128, ge=1, description="number of random paths that rollouts draw from, new for each plan"
     )

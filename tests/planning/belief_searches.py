@@ -9,7 +9,7 @@ import numpy as np
 
 from bojax.numerics.choices import one_of
 from bojax.numerics.simulation_keys import random_index, simulation_key
-from bojax.planning.belief_search import draw_states
+from bojax.planning.belief_planner import draw_states
 from bojax.planning.belief_tree import Widening
 from bojax.planning.leaf_values import Rollout, draw_alive
 from bojax.planning.pft import PFT, BeliefStep

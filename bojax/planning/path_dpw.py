@@ -1,0 +1,160 @@
+"""Double progressive widening on paths: the tree of PFT-DPW, with the beliefs of a path problem as they are.
+
+The searches of the thesis imagine one observation an action (Algorithms 2 to 4); with `max_branches`
+of 1, so does this one. Its proposals of actions are those of searches on particles.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
+
+from bojax.motions.base import ContinuousMotions
+from bojax.numerics.choices import Choice, one_of
+from bojax.planning.base import PathPlanner, Plan
+from bojax.planning.belief_search import RECOMMENDATIONS, BeliefTreeSearch, Expansion
+from bojax.planning.belief_tree import BeliefTree, Widening, row
+from bojax.planning.proposals import Proposal
+from bojax.planning.tree import ROOT
+from bojax.problems.actions import Box
+from bojax.problems.base import Belief, Objective
+from bojax.problems.path_problem import Node, PathProblem, Root
+
+
+class PathModel(eqx.Module):
+    """What is searched in one plan: a path problem, whose actions are parameters of paths.
+
+    Attributes:
+        problem: The problem.
+        root: Data shared by the nodes of the plan, and `node`, the root node.
+        node: The root node.
+        rollouts: Random paths that rollouts draw from.
+        actions: Space of the parameters.
+        discount: Discount per step.
+    """
+
+    problem: PathProblem
+    root: Root
+    node: Node
+    rollouts: Float[Array, "C S 3"]
+    actions: Box
+    discount: Float[Array, ""]
+
+
+class RolloutRewards(NamedTuple):
+    """Reward of each path of a rollout, and whether the episode ends with it."""
+
+    rewards: Float[Array, "H"]
+    terminated: Bool[Array, "H"]
+
+
+class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
+    """Tree search on paths with several imagined observations an action.
+
+    A new branch simulates its path and a random rollout to the horizon by one call of `PathProblem.simulate`,
+    which draws the observations. A field has the Gaussian process of all samples since the root as its
+    belief, exactly; branches of an action are other samples of the same path. On a problem of the robot's
+    pose, whose simulations do not measure, all branches are equal: see
+    `bojax.problems.pomdp.uncertain_pose`.
+
+    Settings: `bojax.planning.settings.PathDPW`.
+
+    Attributes:
+        objective: Objective that is maximised; None for the problem's task.
+        num_rollout_paths: Number of random paths that the rollouts of a plan draw from.
+    """
+
+    motions: ContinuousMotions
+    exploration: Float[Array, ""]
+    action_widening: Widening
+    observation_widening: Widening
+    proposal: Proposal
+    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
+    discount: Float[Array, ""]
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    max_actions: int = eqx.field(static=True)
+    max_branches: int = eqx.field(static=True)
+    num_rollout_paths: int = eqx.field(static=True)
+    objective: Objective = None
+
+    @override
+    def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:
+        key_paths, key_search = jax.random.split(key)
+        model = self.model(key_paths, problem, belief)
+        tree = self.search(key_search, model, belief)
+        best = self.recommended(tree)
+        # The reward of a path is that under the belief before it, which its branches share.
+        branch = tree.branches[tree.children[ROOT, best.slot], 0]
+        return Plan(self.motions.path(best.parameters), tree.outcome[branch, 0], best.value, best.visits)
+
+    def model(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> PathModel:
+        """What a plan for `belief` searches."""
+        root, node = problem.with_objective(self.objective).root(belief, self.depth)
+        one = jnp.ones(self.motions.num_params, self.discount.dtype)
+        rollouts = jax.vmap(self.motions.sample)(jax.random.split(key, self.num_rollout_paths))
+        return PathModel(problem, root, node, rollouts, Box(-one, one), self.discount)
+
+    @override
+    def root(self, key: Key[Array, ""], problem: PathModel, belief: Belief) -> Node:
+        return problem.node
+
+    @override
+    def states(self, key: Key[Array, ""], belief: Belief) -> Float[Array, "N 0"]:
+        return jnp.zeros((self.iterations, 0), self.discount.dtype)
+
+    @override
+    def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
+        return jnp.asarray(jnp.inf, visits.dtype)
+
+    @override
+    def follow(
+        self,
+        key: Key[Array, ""],
+        problem: PathModel,
+        tree: BeliefTree,
+        state: Float[Array, "0"],
+        action: Float[Array, "K"],
+        branch: Int[Array, ""],
+        is_followed: Bool[Array, ""],
+    ) -> tuple[Node, Float[Array, "0"], Float[Array, ""], Bool[Array, ""]]:
+        reward, is_terminal = row(tree.outcome, branch)
+        return tree.beliefs, state, reward, is_terminal > 0.0
+
+    @override
+    def expand(
+        self,
+        key: Key[Array, ""],
+        problem: PathModel,
+        tree: BeliefTree,
+        state: Float[Array, "0"],
+        node: Int[Array, ""],
+        action: Float[Array, "K"],
+    ) -> Expansion:
+        key_rollout, key_simulate = jax.random.split(key)
+        belief = jax.tree.map(lambda leaf: row(leaf, node), tree.beliefs)
+        drawn = jax.random.randint(key_rollout, (self.depth - 1,), 0, self.num_rollout_paths)
+        paths = jnp.concatenate([self.motions.path(action)[None], problem.rollouts[drawn]])
+        simulated = problem.problem.simulate(key_simulate, problem.root, belief, paths, self.objective)
+        rollout = RolloutRewards(simulated.rewards[1:], simulated.terminated[1:])
+        return Expansion(simulated.node, simulated.rewards[0], simulated.terminated[0], rollout)
+
+    @override
+    def leaf_at(self, tree: BeliefTree, state: Float[Array, "0"], node: Int[Array, ""]) -> RolloutRewards:
+        """No reward: at the horizon, nothing follows."""
+        return RolloutRewards(jnp.zeros(self.depth - 1, state.dtype), jnp.ones(self.depth - 1, bool))
+
+    @override
+    def value_of(
+        self, key: Key[Array, ""], problem: PathModel, leaf: RolloutRewards, remaining: Int[Array, ""]
+    ) -> Float[Array, ""]:
+        """The return of the rollout, without rewards past the horizon or after a terminal state."""
+        value = jnp.zeros((), self.discount.dtype)
+        # Backwards, R_t = r_t + gamma R_(t+1); what is cut off may be any number, even NaN.
+        for step in reversed(range(self.depth - 1)):
+            later = jnp.where(leaf.terminated[step], 0.0, self.discount * value)
+            value = jnp.where(step < remaining, leaf.rewards[step] + later, 0.0)
+        return value
