@@ -4,10 +4,11 @@ import abc
 from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.adapter import Adapter
 from bojax.envs.spaces import Space
+from bojax.results.schema import Table
 
 EnvState: TypeAlias = Any
 """The true state of an environment: a tree of arrays."""
@@ -44,9 +45,11 @@ class Env(eqx.Module):
     Attributes:
         max_steps: Time limit: number of steps after which an episode is truncated.
         is_hosted: Whether the environment steps on the host, one object for each lane, and is not compiled.
+        count_columns: Columns of `runs.parquet` for `counts`.
     """
 
     is_hosted: ClassVar[bool] = False
+    count_columns: ClassVar[Table] = ()
 
     max_steps: eqx.AbstractVar[int]
 
@@ -83,6 +86,10 @@ class Env(eqx.Module):
     def frame(self, state: EnvState) -> Float[Array, "Q"] | None:
         """Numbers of a state that an animation needs besides observations; recorded with the steps."""
         return None
+
+    def counts(self, state: EnvState) -> dict[str, Int[Array, ""]]:
+        """Numbers of events since `reset`, by column of `count_columns`; summed over training."""
+        return {}
 
     @abc.abstractmethod
     def step(self, key: Key[Array, ""], state: EnvState, action: Action) -> tuple[EnvState, TimeStep]:

@@ -1,19 +1,20 @@
 """A belief as an environment: a learner acts on what a filter knows about the state of a POMDP."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.problems import actions, particles
+from bojax.problems import actions
 from bojax.problems.particles import Particles
 from bojax.problems.state_checks import check_model
-from bojax.problems.state_space import StateProblem
+from bojax.problems.state_space import COLLAPSES, Observed, StateProblem
+from bojax.results.schema import Table
 
 Features = Literal["mean-and-spread", "mean", "reading", "state"]
 
@@ -41,7 +42,8 @@ class BeliefEnv(Env):
     with a positive reward is a success.
 
     The belief is that of a filter which the learner cannot influence but by its actions, so that these
-    summaries are the state of a Markov decision process only as far as they describe the belief.
+    summaries are the state of a Markov decision process only as far as they describe the belief. How often it
+    has collapsed in training is a column of `runs.parquet`, as of a planner.
 
     Settings: `bojax.envs.settings.Belief`.
 
@@ -51,6 +53,8 @@ class BeliefEnv(Env):
         high: Upper bounds of them.
         features: What is observed.
     """
+
+    count_columns: ClassVar[Table] = (COLLAPSES,)
 
     problem: StateProblem
     low: Float[Array, "D"]
@@ -98,7 +102,7 @@ class BeliefEnv(Env):
     def reset(self, key: Key[Array, ""]) -> Tracked:
         key_world, key_belief, key_reading = jax.random.split(key, 3)
         world = self.problem.initial(key_world)
-        belief = particles.initial(self.problem, key_belief, self.problem.num_particles)
+        belief = self.problem.prior(key_belief, world, 1)
         action = self._decoded(self.action_space.example)
         shape = jax.eval_shape(self.problem.observe, key_reading, world, action, world).shape
         middle = 0.5 * (self.low + self.high)
@@ -118,12 +122,17 @@ class BeliefEnv(Env):
         return jnp.concatenate([mean, jnp.sqrt(jnp.exp(state.belief.log_weights) @ squares)])
 
     @override
+    def counts(self, state: Tracked) -> dict[str, Int[Array, ""]]:
+        assert state.belief.collapses is not None
+        return {COLLAPSES.name: state.belief.collapses}
+
+    @override
     def step(self, key: Key[Array, ""], state: Tracked, action: Array) -> tuple[Tracked, TimeStep]:
         key_step, key_observe, key_filter = jax.random.split(key, 3)
         decoded = self._decoded(action)
         world, reward, terminated = self.problem.step(key_step, state.world, decoded)
         reading = self.problem.observe(key_observe, state.world, decoded, world)
-        belief, _ = self.problem.filter(key_filter, state.belief, decoded, reading)
+        belief = self.problem.update(state.belief, decoded, Observed(reading, terminated), key_filter)
         after = Tracked(world, belief, reading)
         never = jnp.zeros((), bool)
         success: Bool[Array, ""] = terminated & (reward > 0.0)

@@ -54,6 +54,7 @@ class RunState(eqx.Module):
             `map_episodes`.
         visits: Cells of the maps that the run has been in; None unless there are maps over two observations.
         map_scores: `Visits.scores` at each of `map_episodes`, NaN before; None as `visits`.
+        counts: `Env.counts` over all training episodes so far.
     """
 
     key: Key[Array, ""]
@@ -70,6 +71,7 @@ class RunState(eqx.Module):
     maps: Float[Array, "K 2 *grid"] | None
     visits: Visits | None
     map_scores: Float[Array, "K 3"] | None
+    counts: dict[str, Int[Array, ""]]
 
 
 def _episode_key(
@@ -128,6 +130,7 @@ class LearningRun(Experiment):
     def tables(self) -> Mapping[str, Table]:
         return {
             "runs": _RUN_COLUMNS
+            + self.env.count_columns
             + (_TARGET_COLUMNS if self.target_return is not None else ())
             + (_MAP_COLUMNS if self._maps_a_plane else ())
             + self.learner.columns,
@@ -202,6 +205,7 @@ class LearningRun(Experiment):
             maps=maps,
             visits=visits,
             map_scores=map_scores,
+            counts={column.name: zero for column in self.env.count_columns},
         )
 
     @override
@@ -257,7 +261,7 @@ class LearningRun(Experiment):
             summary["unseen_u"] = jnp.mean(contrast)
             summary["start_u_change"] = start[-1] - start[0]
             summary["high_u_change"] = high[-1] - high[0]
-        return summary | self.learner.summary(carry.learner)
+        return summary | carry.counts | self.learner.summary(carry.learner)
 
     @override
     def snapshot(self, carry: RunState) -> dict[str, dict[str, Array]]:
@@ -379,9 +383,18 @@ class LearningRun(Experiment):
             maps=maps,
             visits=visits,
             map_scores=map_scores,
+            counts=self._counted(carry, episode),
         )
         tables = {"episodes": rows, "steps": self._rows.table(episode.rows, episode.length, number)}
         return after, Records(tables=tables, active_steps=num_steps)
+
+    def _counted(self, carry: RunState, episode: EpisodeState) -> dict[str, Int[Array, ""]]:
+        if not carry.counts:  # nor has an environment on the host a state to read
+            return carry.counts
+        found = self.env.counts(episode.env)
+        return {
+            name: total + jnp.where(carry.is_done, 0, found[name]) for name, total in carry.counts.items()
+        }
 
     @property
     def learns_in_tests(self) -> bool:

@@ -29,6 +29,8 @@ from bojax.results.schema import Column, Table
 NUM_DRAWN = 64
 """Number of states of a belief that are recorded for pictures and films."""
 
+COLLAPSES = Column("collapses", "int32", "", "times that no particle of the belief explained the observation")
+
 Sketch = dict[str, Float[Array, "*T N P"]]
 """Points by name, see `StateProblem.sketch`: of the true state, then of states of the belief."""
 
@@ -128,7 +130,7 @@ class StateProblem(StateModel, Problem):
     @property
     @override
     def run_columns(self) -> Table:
-        return (RETURN, DISCOUNTED_RETURN, STEPS, _COLLAPSES)
+        return (RETURN, DISCOUNTED_RETURN, STEPS, COLLAPSES)
 
     @property
     @override
@@ -175,8 +177,3 @@ class StateProblem(StateModel, Problem):
     def summary(self, record: Sketch, world: Float[Array, "D"], belief: Particles) -> dict[str, Scalar]:
         assert belief.collapses is not None
         return {"collapses": belief.collapses}
-
-
-_COLLAPSES = Column(
-    "collapses", "int32", "", "times that no particle of the belief explained the observation"
-)

@@ -1,5 +1,6 @@
 """A belief as an environment: summaries against NumPy, dynamics of its problems, mistakes in settings."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +8,10 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.settings import Belief, MountainCar
+from bojax.experiments.settings import Learning
 from bojax.problems.pomdp.settings import Hallway, LightDark, PomdpMountainCar
+from bojax.problems.state_space import COLLAPSES
+from tests.parts import tiny
 from tests.refusals import assert_refused
 
 CAR = {"problem": PomdpMountainCar(num_particles=50), "low": (-1.2, -0.07), "high": (0.6, 0.07)}
@@ -39,6 +43,23 @@ def test_the_reading_alone_is_the_last_observation():
     np.testing.assert_array_equal(env.observe(state), [0.5, 0.5])
     _, after = env.step(jax.random.key(2), state, jnp.ones(1))
     assert set(np.asarray(after.observation).tolist()) <= {0.0, 1.0}
+
+
+@pytest.mark.parametrize("sensor_noise, collapses", [(1e-200, 8), (0.1, 0)])
+def test_collapses_are_counted_in_training(sensor_noise, collapses):
+    car = CAR["problem"].model_copy(update={"sensor_noise": sensor_noise, "max_steps": 4})
+    settings = {
+        "env": Belief(**(CAR | {"problem": car})),
+        "learner": tiny("learner", "emu-q"),
+        "episodes": 2,
+        "tests": 1,  # which count for nothing
+    }
+    run = build(Learning(**settings))
+    assert COLLAPSES in run.tables["runs"]
+    carry, advance = run.init(jax.random.key(0)), eqx.filter_jit(lambda carry: run.advance(carry)[0])
+    for _ in range(3):  # the third finds the run done
+        carry = advance(carry)
+    assert int(run.summary(carry)["collapses"]) == collapses
 
 
 def test_a_stop_at_the_right_door_succeeds():
