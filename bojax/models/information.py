@@ -1,4 +1,4 @@
-"""What observations say about places elsewhere: the reduction of the variance of a Gaussian process there.
+"""What observations say about a Gaussian process: the variance that they explain elsewhere, their entropy.
 
 It does not depend on the observed values. With data X, an observation set Z and a place g, the variance at g
 falls by |B^-1 c(Z, g)|^2, where c is the posterior covariance given X and B B' = c(Z, Z) + noise: row i of
@@ -53,12 +53,35 @@ def explained_variance(
         samples_per_point: Number of measurements that one sample stands for: its noise variance is divided
             by it.
     """
-    kernel, whitened = posterior.kernel, posterior.whiten(samples)
-    both = is_taken[:, None] & is_taken[None, :]
-    covariance = kernel.gram(samples, samples) - matmul(whitened.T, whitened)
+    whitened = posterior.whiten(samples)
     noise = jnp.where(is_taken, posterior.noise(samples) / samples_per_point, 1.0)
-    # A sample that is not taken becomes independent of the others, with a covariance of 0 with the places.
-    joint = jnp.where(both, covariance, 0.0) + jnp.diag(noise)
-    across = kernel.gram(samples, places.points) - matmul(whitened.T, places.whitened)
+    across = posterior.kernel.gram(samples, places.points) - matmul(whitened.T, places.whitened)
     across = jnp.where(is_taken[:, None], across, 0.0)
-    return matmul(inverse_cholesky(joint), across) ** 2
+    return matmul(inverse_cholesky(_joint(posterior, samples, whitened, is_taken, noise)), across) ** 2
+
+
+def entropy_taken(
+    posterior: GaussianProcess, samples: Float[Array, "S D"], is_taken: Bool[Array, "S"]
+) -> Float[Array, "S"]:
+    """Entropy in nats that each sample takes from the belief about the field, given those before it.
+
+    It is half the logarithm of 1 + v / noise, with the variance v of the field at the sample; the sum is the
+    mutual information of field and samples. A sample that is not taken takes nothing.
+    """
+    noise = jnp.where(is_taken, posterior.noise(samples), 1.0)
+    joint = _joint(posterior, samples, posterior.whiten(samples), is_taken, noise)
+    # The variance of a sample given those before it is the square on the diagonal of the Cholesky factor.
+    return -jnp.log(jnp.diagonal(inverse_cholesky(joint))) - 0.5 * jnp.log(noise)
+
+
+def _joint(
+    posterior: GaussianProcess,
+    samples: Float[Array, "S D"],
+    whitened: Float[Array, "N S"],
+    is_taken: Bool[Array, "S"],
+    noise: Float[Array, "S"],
+) -> Float[Array, "S S"]:
+    """Covariance of the samples; one that is not taken is independent of the others, with its noise alone."""
+    both = is_taken[:, None] & is_taken[None, :]
+    covariance = posterior.kernel.gram(samples, samples) - matmul(whitened.T, whitened)
+    return jnp.where(both, covariance, 0.0) + jnp.diag(noise)

@@ -14,18 +14,17 @@ from bojax.fields.base import Field
 from bojax.models.checks import check_takes
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.models.information import Places, explained_variance
+from bojax.models.information import Places
 from bojax.models.kernels import Kernel
 from bojax.models.lookahead import LookaheadRoot
 from bojax.models.means import Mean
 from bojax.motions.base import Path, Pose
 from bojax.numerics.lanes import any_lane
-from bojax.numerics.linalg import matmul
 from bojax.problems.arena import Arena
 from bojax.problems.field_belief import FieldBelief, Samples
 from bojax.problems.field_errors import ERROR_COLUMNS, Weighting, field_errors
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
-from bojax.problems.objectives import FieldObjective
+from bojax.problems.objectives import FieldObjective, JointObjective
 from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.sensors import PointSensor, Sensor
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
@@ -260,11 +259,10 @@ class FieldProblem(PathProblem):
         """Rewards of the samples taken, under the belief before the path, plus the cost of the path."""
         objective = self.objective if objective is None else objective
         points = events.driven[:, :2]
-        if objective.is_elsewhere:
+        if isinstance(objective, JointObjective):
             posterior = belief.posterior
-            places = self._places(posterior)
-            explained = explained_variance(posterior, places, points, events.is_driven)
-            return events.reward + jnp.sum(matmul(explained, places.weights))
+            places = self._places(posterior) if objective.is_elsewhere else None
+            return events.reward + jnp.sum(objective.of_samples(posterior, places, points, events.is_driven))
         mean, variance = belief.posterior.predict(points)
         gradient = belief.posterior.predict_gradient(points) if objective.needs_gradient else None
         rewards = objective(mean, variance, gradient)

@@ -7,12 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.models.information import explained_variance
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.motions.base import Pose
-from bojax.numerics.linalg import matmul
 from bojax.problems.arena import Arena
-from bojax.problems.objectives import FieldObjective
+from bojax.problems.objectives import FieldObjective, JointObjective
 from bojax.problems.path_problem import Simulation
 
 
@@ -127,9 +125,8 @@ def simulate_paths(
     is_taken = all_samples.is_taken
     # The reward of a stage is the sum over its samples, under the belief before it (3.2, 4.11). The
     # look-ahead also holds the stages before the node: the paths are paid from the node's level on.
-    if objective.is_elsewhere and root.places is not None:
-        explained = explained_variance(root.posterior, root.places, all_samples.points, is_taken)
-        gains = matmul(explained, root.places.weights)
+    if isinstance(objective, JointObjective):
+        gains = objective.of_samples(root.posterior, root.places, all_samples.points, is_taken)
     else:
         ahead = look_ahead(
             root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient

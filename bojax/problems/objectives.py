@@ -5,8 +5,12 @@ from typing import ClassVar, Literal, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from typing_extensions import override
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.information import Places, entropy_taken, explained_variance
+from bojax.numerics.linalg import matmul
 
 Values: TypeAlias = Float[Array, "S"]
 Gradients: TypeAlias = Float[Array, "S 2"]
@@ -17,8 +21,7 @@ class FieldObjective(eqx.Module):
 
     Attributes:
         needs_gradient: Whether the gradient of the mean is needed; it is computed only then.
-        is_elsewhere: Whether a sample is rewarded for what it says about the whole domain, and not for its
-            own place: the problem then computes the rewards, see `InformationObjective`.
+        is_elsewhere: Whether samples are rewarded for what they say about `Places` of the domain.
     """
 
     needs_gradient: ClassVar[bool] = False
@@ -27,6 +30,29 @@ class FieldObjective(eqx.Module):
     @abc.abstractmethod
     def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
         """Reward of each sample."""
+
+
+class JointObjective(FieldObjective):
+    """An objective that rewards each sample given those before it, which does not depend on their values."""
+
+    @override
+    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
+        raise TypeError(
+            f"{type(self).__name__}: the reward of a sample does not follow from its moments alone"
+        )
+
+    @abc.abstractmethod
+    def of_samples(
+        self,
+        posterior: GaussianProcess,
+        places: Places | None,
+        points: Float[Array, "S 2"],
+        is_taken: Bool[Array, "S"],
+    ) -> Values:
+        """Reward of each sample in the order in which they are taken, under a belief before all of them.
+
+        `places` are those of the domain if `is_elsewhere`, otherwise None.
+        """
 
 
 Uncertainty = Literal["std", "variance"]
@@ -86,7 +112,7 @@ class UncertaintyObjective(FieldObjective):
         return _spread(variance, self.uncertainty)
 
 
-class InformationObjective(FieldObjective):
+class InformationObjective(JointObjective):
     """Reduction of the mean variance over the domain by each sample, given those before it.
 
     The sum over a path is what the path reduces; samples close together are not counted twice. It is the
@@ -99,5 +125,33 @@ class InformationObjective(FieldObjective):
     is_elsewhere: ClassVar[bool] = True
 
     @override
-    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
-        raise TypeError("information: the reward of a sample does not follow from its moments alone")
+    def of_samples(
+        self,
+        posterior: GaussianProcess,
+        places: Places | None,
+        points: Float[Array, "S 2"],
+        is_taken: Bool[Array, "S"],
+    ) -> Values:
+        assert places is not None
+        return matmul(explained_variance(posterior, places, points, is_taken), places.weights)
+
+
+class EntropyObjective(JointObjective):
+    """Entropy that each sample takes from the belief about the field, in nats, given those before it.
+
+    It is the exact reward of information of a rho-POMDP (Araya-Lopez et al., NeurIPS 2010) for a Gaussian
+    process: the sum over a path is the mutual information of field and samples, the criterion of D-optimal
+    designs.
+
+    Settings: `bojax.problems.settings.Entropy`.
+    """
+
+    @override
+    def of_samples(
+        self,
+        posterior: GaussianProcess,
+        places: Places | None,
+        points: Float[Array, "S 2"],
+        is_taken: Bool[Array, "S"],
+    ) -> Values:
+        return entropy_taken(posterior, points, is_taken)

@@ -59,6 +59,13 @@ class Information(ObjectiveSettings, frozen=True):
     kind: Literal["information"] = "information"
 
 
+class Entropy(ObjectiveSettings, frozen=True):
+    """Entropy that samples take from the belief about the field, in nats (a rho-POMDP, exactly)."""
+
+    target: ClassVar[str] = "bojax.problems.objectives:EntropyObjective"
+    kind: Literal["entropy"] = "entropy"
+
+
 class SensorSettings(Component, frozen=True):
     """A sensor."""
 

@@ -1,4 +1,4 @@
-"""The objective `information` pays the fall of the mean variance over the domain, as a refit gives it."""
+"""The objectives `information` and `entropy` pay what a refit with the samples takes from the belief."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bojax.problems.field_problem import PLACES
-from bojax.problems.objectives import InformationObjective
+from bojax.problems.objectives import EntropyObjective, InformationObjective
 from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
 from tests.problems.test_monitoring import SIZE, drives
 
@@ -32,6 +32,11 @@ def mean_variance(x):
     )
 
 
+def entropy(x):
+    """Entropy in nats that samples at `x` take from the field: half the log determinant of I + K / noise."""
+    return 0.5 * np.linalg.slogdet(np.eye(len(x)) + kernel(x, x) / 0.01)[1]
+
+
 def driven(paths):
     """The samples of paths driven one after the other, and whether each is taken."""
     pose, found = f64(POSE), []
@@ -42,18 +47,22 @@ def driven(paths):
     return found
 
 
-def test_rewards_are_what_a_refit_with_the_samples_reduces():
-    belief = field_belief(PROBLEM, POSE, 5)
+@pytest.mark.parametrize(
+    "objective, left", [(INFORMATION, mean_variance), (EntropyObjective(), lambda x: -entropy(x))]
+)
+def test_rewards_are_what_a_refit_with_the_samples_reduces(objective, left):
+    problem = dataclasses.replace(PROBLEM, objective=objective)
+    belief = field_belief(problem, POSE, 5)
     x = np.asarray(belief.posterior.x)[:5]
     _, paths = drives(3, seed=4)
-    root, node = PROBLEM.root(belief, 3)
-    simulate = jax.jit(lambda key: PROBLEM.simulate(key, root, node, f64(paths), None).rewards)
+    root, node = problem.root(belief, 3)
+    simulate = jax.jit(lambda key: problem.simulate(key, root, node, f64(paths), None).rewards)
     costs = []
     expected, pose = [], f64(POSE)
     for samples, path in zip(driven(paths), paths, strict=True):
-        before = mean_variance(x)
+        before = left(x)
         x = np.concatenate([x, samples])
-        expected.append(before - mean_variance(x))
+        expected.append(before - left(x))
         drive = PROBLEM.arena.drive(pose, f64(path))
         costs.append(float(PROBLEM.arena.cost(drive)))
         pose = PROBLEM.arena.end(drive)
@@ -62,14 +71,16 @@ def test_rewards_are_what_a_refit_with_the_samples_reduces():
     assert min(expected) > 0.0
 
 
-def test_the_world_pays_the_same_for_the_first_path():
-    belief = field_belief(PROBLEM, POSE, 5)
-    world = dataclasses.replace(PROBLEM, start=f64(POSE)).reset(jax.random.key(0))
+@pytest.mark.parametrize("objective", [INFORMATION, EntropyObjective()])
+def test_the_world_pays_the_same_for_the_first_path(objective):
+    problem = dataclasses.replace(PROBLEM, objective=objective)
+    belief = field_belief(problem, POSE, 5)
+    world = dataclasses.replace(problem, start=f64(POSE)).reset(jax.random.key(0))
     _, paths = drives(3, seed=4)
-    _, _, events = jax.jit(type(PROBLEM).execute)(PROBLEM, jax.random.key(1), world, f64(paths[0]))
-    root, node = PROBLEM.root(belief, 1)
-    imagined = PROBLEM.simulate(jax.random.key(2), root, node, f64(paths[:1]), None).rewards[0]
-    paid = PROBLEM.reward(None, belief, f64(paths[0]), events)
+    _, _, events = jax.jit(type(problem).execute)(problem, jax.random.key(1), world, f64(paths[0]))
+    root, node = problem.root(belief, 1)
+    imagined = problem.simulate(jax.random.key(2), root, node, f64(paths[:1]), None).rewards[0]
+    paid = problem.reward(None, belief, f64(paths[0]), events)
     assert float(paid) == pytest.approx(float(imagined), abs=1e-12)
 
 
