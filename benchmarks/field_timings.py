@@ -21,14 +21,15 @@ LANES = 8
 """Runs at once on a CPU core; the factors of more runs do not fit into its cache."""
 
 
-def settings(objective: str) -> Planning:
-    """An experiment with a capacity of 25 x 8 observations."""
+def settings(objective: str, observations: int = NUM_OBSERVATIONS, iterations: int = 300) -> Planning:
+    """An experiment with room for one more drive than made the observations, 8 a drive."""
+    max_steps = observations // NUM_SAMPLES + 1
     return Planning.model_validate(
         {
-            "problem": {"kind": "space-modelling", "objective": objective, "max_steps": 25},
+            "problem": {"kind": "space-modelling", "objective": objective, "max_steps": max_steps},
             "planner": {
                 "kind": "kcbts",
-                "iterations": 300,
+                "iterations": iterations,
                 "depth": 3,
                 "max_actions": 20,
                 "exploration": 150.0,
@@ -41,8 +42,9 @@ def settings(objective: str) -> Planning:
 class Case:
     """Plans near the end of an episode; every run has its own observations and key."""
 
-    def __init__(self, objective: str, seed: int):
-        experiment: Any = build(settings(objective), "float64")
+    def __init__(self, planning: Planning, seed: int, observations: int = NUM_OBSERVATIONS):
+        experiment: Any = build(planning, "float64")
+        self.observations = observations
         self.planner, self.problem = experiment.planner, experiment.problem
         self._data, self._keys = jax.random.split(jax.random.key(seed))
 
@@ -52,8 +54,8 @@ class Case:
         problem = eqx.tree_at(lambda p: p.start, self.problem, None)
         belief = problem.prior(keys[0], problem.reset(keys[1]), NUM_SAMPLES)
         low, high = problem.domain[:2], problem.domain[2:]
-        x = jax.random.uniform(keys[2], (NUM_OBSERVATIONS, 2), low.dtype, low, high)
-        y = problem.field.values(x) + problem.noise * jax.random.normal(keys[3], (NUM_OBSERVATIONS,))
+        x = jax.random.uniform(keys[2], (self.observations, 2), low.dtype, low, high)
+        y = problem.field.values(x) + problem.noise * jax.random.normal(keys[3], (self.observations,))
         prior = belief.posterior
         capacity = prior.y.shape[0]
         posterior = GaussianProcess.fit(
@@ -100,7 +102,7 @@ def main(argv: list[str]) -> int:
     jax.config.update("jax_enable_x64", True)
     rows: list[Row] = []
     for objective in args.objectives:
-        case = Case(objective, args.seed)
+        case = Case(settings(objective), args.seed)
         planner, problem = case.planner, case.problem
         references = []
         for run in range(args.plans):

@@ -18,10 +18,10 @@ LANES_ON_CPU = 64
 
 
 class Case:
-    """Plans and episodes of the default experiment; every run has its own start and key."""
+    """Plans and episodes of an experiment, by default parking; every run has its own start and key."""
 
-    def __init__(self, seed: int):
-        self.experiment: Any = build(Planning(), "float64")
+    def __init__(self, seed: int, planning: Planning | None = None):
+        self.experiment: Any = build(planning or Planning(), "float64")
         self._starts, self._keys = jax.random.split(jax.random.key(seed))
 
     def start(self, run):
