@@ -126,6 +126,7 @@ class Mission:
         self.counts: Counter[str] = Counter()
         self.route: Route | None = None
         self._x, self._y, self._time = NOTHING, np.zeros(0), -np.inf
+        self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
         self._shift, self._scale = 0.0, 1.0
         self._learned_at, self._plans = 0, 0
 
@@ -201,19 +202,18 @@ class Mission:
         is_finite = np.isfinite(values) & np.isfinite(points).all(axis=1)
         self._move(points[~is_far], pose)
         rows = np.column_stack([points, values])
-        held = {tuple(row) for row in np.column_stack([self._x, self._y])}
         is_taken = np.zeros(len(rows), bool)
-        for index, row in enumerate(rows):
+        for index, row in enumerate(map(tuple, rows.tolist())):
             reason = (
                 "not_finite" if not is_finite[index]
                 else "far_off" if is_far[index]
-                else "duplicate" if tuple(row) in held
+                else "duplicate" if row in self._held
                 else ""
             )  # fmt: skip
             if reason:
                 self.counts[reason] += 1
                 continue
-            held.add(tuple(row))
+            self._held.add(row)
             is_taken[index] = True
         self._x = np.concatenate([self._x, points[is_taken]])
         self._y = np.concatenate([self._y, values[is_taken]])
@@ -319,6 +319,7 @@ class Mission:
             mission.goal = Goal(kind, threshold, region)
             mission.counts = Counter(plain.pop("counts"))
             mission._x, mission._y = data["x"], data["y"]
+            mission._held = set(map(tuple, np.column_stack([data["x"], data["y"]]).tolist()))
             for name in _PLAIN:
                 setattr(mission, name, plain[name])
             mission.hyperparameters = tuple(plain["hyperparameters"])
