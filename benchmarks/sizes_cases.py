@@ -122,7 +122,7 @@ def _learning(features: int, repeats: int) -> Namespace:
 
 
 def parking_runs(size: int, repeats: int) -> Seconds:
-    """The command `bojax run parking` with its results; the first time fills the cache of programs."""
+    """The command `bojax run parking`, 3 plans a run; the first time fills the cache of programs."""
     silent = io.StringIO()
     with (
         tempfile.TemporaryDirectory() as place,
@@ -132,7 +132,8 @@ def parking_runs(size: int, repeats: int) -> Seconds:
         folders = itertools.count()
 
         def command() -> None:
-            words = ["run", "parking", "planner.iterations=10", "record.runs=0", "--runs", str(size)]
+            quick = "planner.iterations=10 problem.max_steps=3 record.runs=0"
+            words = f"run parking {quick} --runs {size}".split()
             code = bojax([*words, "--out", str(Path(place) / str(next(folders)))])
             if code:
                 raise RuntimeError(f"bojax run: exit code {code}")
