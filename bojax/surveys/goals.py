@@ -17,6 +17,9 @@ HIGHEST = 0.1
 CONFIDENCE = 1.96
 """Standard deviations around the mean in which a straddle looks for a threshold, as in its source."""
 
+_NODES, _NODE_WEIGHTS = (each / 2.0 for each in np.polynomial.legendre.leggauss(8))
+_NODES = _NODES + 0.5  # on [0, 1]
+
 ALLOWED = "map, hotspots, threshold=V or region=FILE"
 Kind = Literal["map", "hotspots", "threshold", "region"]
 
@@ -72,6 +75,41 @@ class Goal:
             weights = np.ones(len(mean))
         return weights if weights.max() > 0.0 else np.ones(len(mean))
 
+    def loss(self, mean: np.ndarray, variance: np.ndarray, explained: np.ndarray) -> np.ndarray:
+        """What samples are expected to leave undone, for each of `R` sets of them.
+
+        Before the samples, the mean m' that they will leave at a place is normal: around the mean m of now,
+        with the variance that they explain.
+
+        - `hotspots`: minus the root mean squared improvement over the highest mean, E[max(m' - max m, 0)^2]
+          at each place (Schonlau, Welch and Jones 1998, with g = 2). Where all means are alike it falls with
+          the variance that is explained, as for a map.
+        - `threshold`: the expected share of the places with m' on the wrong side of the threshold. With the
+          variance v and its explained share sin(a)^2, samples lower the probability of an error by 1/pi times
+          the integral over t from 0 to a of exp(-(m - threshold)^2 / (2 v sin(t)^2)).
+        - `map`, `region`: the root of the mean variance that is left.
+
+        Args:
+            mean: Means `[M]` of places that are spread evenly.
+            variance: Variances `[M]` there.
+            explained: Reductions `[R, M]` of these variances by each set of samples.
+        """
+        least = np.finfo(float).tiny
+        if self.kind == "hotspots":
+            moved = np.sqrt(np.maximum(explained, least))
+            u = (mean - mean.max()) / moved
+            density = np.exp(-0.5 * u**2) / math.sqrt(2.0 * math.pi)
+            squared = moved**2 * ((1.0 + u**2) * ndtr(u) + u * density)
+            return -np.sqrt(np.maximum(squared, 0.0).mean(axis=-1))
+        if self.kind == "threshold":
+            ratio = (mean - self.threshold) ** 2 / np.maximum(variance, least)
+            share = np.clip(explained / np.maximum(variance, least), 0.0, 1.0)
+            angle = np.arcsin(np.sqrt(share))[..., None] * _NODES
+            lowered = np.exp(-0.5 * ratio[:, None] / np.maximum(np.sin(angle) ** 2, least))
+            gained = np.arcsin(np.sqrt(share)) / math.pi * (lowered @ _NODE_WEIGHTS)
+            return (ndtr(-np.sqrt(ratio)) - gained).mean(axis=-1)
+        return np.sqrt(np.maximum(variance - explained, 0.0).mean(axis=-1))
+
 
 def parse_goal(text: str) -> tuple[Kind, str]:
     """The kind of a goal, and the value or the file after its `=`.
@@ -91,6 +129,22 @@ def parse_goal(text: str) -> tuple[Kind, str]:
         if not is_finite:
             raise ValueError(f"got {text}; allowed: threshold=V, where V is a number")
     return kind, argument  # pyright: ignore[reportReturnType]
+
+
+def goal_of(given: "str | Area") -> Goal:
+    """The goal of a mission: a name, or the part of the area that counts.
+
+    Raises:
+        ValueError: The text is not a goal, or names a file.
+    """
+    if not isinstance(given, str):
+        if not hasattr(given, "outline"):
+            raise ValueError(f"goal: got {given}; allowed: map, hotspots, threshold=V or an Area")
+        return Goal("region", region=given)
+    kind, argument = parse_goal(given)
+    if kind == "region":
+        raise ValueError(f"goal: got {given}; allowed: map, hotspots, threshold=V or an Area")
+    return Goal(kind, float(argument) if argument else math.nan)
 
 
 def _level(mean: np.ndarray, deviation: np.ndarray) -> float:

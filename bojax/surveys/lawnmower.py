@@ -6,6 +6,7 @@ after the other, by shortest paths around holes.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from scipy.spatial.distance import cdist
 from bojax.surveys.area import Area
 from bojax.surveys.polylines import driven_at, length_of
 from bojax.surveys.shapes import polygons_of, rings_of, shapely_module, to_shape
-from bojax.surveys.transfers import Transfers
+from bojax.surveys.transfers import Transfers, Ways
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -98,7 +99,7 @@ def lawnmower(
     stops = [np.asarray(start, float)[None]] if start is not None else []
     stops += legs
     stops += [np.asarray(end, float)[None]] if end is not None else []
-    return _joined(stops, ground.transfers)
+    return joined(stops, ground.transfers)
 
 
 def lawnmowers_within(
@@ -136,10 +137,10 @@ def lawnmowers_within(
             continue
         route = lawnmower(ground, distance, angle, start, end, inset=True)
         if length_of(route) <= budget:
-            return [route] if denser is None else [route, _cut(denser, budget, end, ground.transfers)]
+            return [route] if denser is None else [route, cut(denser, budget, end, ground.transfers)]
         denser = route
     assert denser is not None
-    return [_cut(denser, budget, end, ground.transfers)]
+    return [cut(denser, budget, end, ground.transfers)]
 
 
 def check_budget(
@@ -242,7 +243,7 @@ def _in_order(
     return [ways[index] for index in best]
 
 
-def _joined(legs: list[np.ndarray], transfers: Transfers) -> np.ndarray:
+def joined(legs: Sequence[np.ndarray], transfers: Ways) -> np.ndarray:
     """One route over all legs, with transfers within and between them that stay in the area."""
     points = np.concatenate(legs)
     is_clear = transfers.are_clear(points[:-1], points[1:])
@@ -255,7 +256,7 @@ def _joined(legs: list[np.ndarray], transfers: Transfers) -> np.ndarray:
     return np.concatenate(route)
 
 
-def _cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Transfers) -> np.ndarray:
+def cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Ways) -> np.ndarray:
     """The beginning of a route and the way to its end, together at most as long as the budget."""
     driven = driven_at(route)
     lengths = np.diff(driven)

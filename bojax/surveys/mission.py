@@ -16,7 +16,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.results.store import write_arrays
 from bojax.surveys.area import Area
 from bojax.surveys.beliefs import belief_from, model_of
-from bojax.surveys.goals import Goal, parse_goal
+from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import Ground
 from bojax.surveys.planning import Demand, best_lawnmowers, ground_within
@@ -30,6 +30,7 @@ from bojax.surveys.route import (
     spread_points,
     stays_inside,
 )
+from bojax.surveys.search import Search, part_around
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
@@ -93,11 +94,11 @@ class Mission:
             relearn_every: Number of measurements after which the hyper-parameters are learned anew; None for
                 on request only.
             options: Options of the optimiser of routes; by default `OPTIONS`, with less work than those of a
-                single plan.
+                single plan. Goals that depend on values have none: their routes are searched for.
             seed: Seed of the tours and of the search for hyper-parameters.
-            goal: Places that count: `"map"` for all, `"hotspots"` for the highest tenth, `"threshold=V"` for
-                those near a value, or the part of the area that counts. Hot spots and places near a
-                threshold follow from what was measured: before that, all places count alike.
+            goal: `"map"`, `"hotspots"` for the highest place, `"threshold=V"` for the places above a value,
+                or the part of the area that counts in a map. Without a measurement, the first plan is for a
+                map.
 
         Raises:
             ValueError: A number is not positive, the start is not a position, or the goal is not known.
@@ -119,7 +120,7 @@ class Mission:
         self.end = None if end is None else _position("end", end)
         self.spacing, self.relearn_every, self.seed = float(spacing), relearn_every, seed
         self.options = OPTIONS if options is None else options
-        self.goal = _goal(goal)
+        self.goal = goal_of(goal)
         self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
         self._medians = self.hyperparameters
         self._log_prior: LogPrior | None = None
@@ -149,13 +150,39 @@ class Mission:
             return NOTHING if self.end is None else self.end[None]
         self._plans += 1
         with jax.enable_x64(True):
-            key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
-            self.route = plan_route(
-                self.posterior(), self.area, left, entry, self.end, self._guesses(entry, left), key,
-                spacing=self.spacing, weight=self.weights, target=self.goal.region, options=self._options,
-            )  # fmt: skip
+            self.route = (
+                self._searched(entry, left) if self.goal.needs_values else self._descended(entry, left)
+            )
         route = self.route.waypoints
         return route if to_entry > 0.0 else route[1:]
+
+    def _descended(self, entry: Waypoints, left: float) -> Route:
+        """A route of least expected error at the places that count."""
+        key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
+        return plan_route(
+            self.posterior(), self.area, left, entry, self.end, self._guesses(entry, left), key,
+            spacing=self.spacing, target=self.goal.region, options=self._options,
+        )  # fmt: skip
+
+    def _searched(self, entry: Waypoints, left: float) -> Route:
+        """A route of least loss of a goal that depends on values; of a map without any."""
+        goal = Goal()
+        if self.num_measurements:
+            goal = dataclasses.replace(self.goal, threshold=(self.goal.threshold - self._shift) / self._scale)
+        area, ways = part_around(self.area, entry)
+        random = np.random.default_rng([self.seed, self._plans])
+        search = Search(
+            self.posterior(),
+            area,
+            left,
+            entry,
+            self.end,
+            goal,
+            spacing=self.spacing,
+            ways=ways,
+            random=random,
+        )
+        return search.route(self._earlier(entry))
 
     @property
     def _options(self) -> RouteOptions:
@@ -274,12 +301,6 @@ class Mission:
             deviation = np.sqrt(np.asarray(variance))
         return self._shift + self._scale * np.asarray(mean), self._scale * deviation
 
-    def weights(self, points: Any) -> np.ndarray:
-        """Weights `[M]` of points `[M, 2]` in the error that a plan minimises."""
-        if not (self.goal.needs_values and self.num_measurements):
-            return np.ones(len(points))
-        return self.goal.weights(*self.predict(points, MOST_EXACT))
-
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
         plain = {name: getattr(self, name) for name in _PLAIN}
@@ -358,17 +379,20 @@ class Mission:
         points = spread_points(self.area, 1200)
         return points[np.argmin(np.linalg.norm(points - self.position, axis=1))]
 
+    def _earlier(self, entry: Waypoints) -> Waypoints | None:
+        """The rest of the earlier plan, if it stays in the area."""
+        rest = None if self.route is None else rest_of(self.route.waypoints, entry)
+        return rest if rest is not None and stays_inside(rest, self.area) else None
+
     def _guesses(self, entry: Waypoints, left: float) -> dict[str, Waypoints]:
         """The rest of the earlier plan or, if there is none that stays in the area, the best lawnmowers."""
-        if self.route is not None:
-            rest = rest_of(self.route.waypoints, entry)
-            if stays_inside(rest, self.area):
-                return {"earlier plan": rest}
+        if (rest := self._earlier(entry)) is not None:
+            return {"earlier plan": rest}
         try:
             ground, region = Ground.of(self.area, entry), self.goal.region
             ground = ground if region is None else ground_within(ground, region)
             grid = counted_points(self.area, region, NUM_GRID)
-            errors = PointErrors.of(self.posterior(), jnp.asarray(grid), jnp.asarray(self.weights(grid)))
+            errors = PointErrors.of(self.posterior(), jnp.asarray(grid))
             demand = Demand(left, entry, self.end)
             return best_lawnmowers(ground, errors, demand, self.spacing, self.options.restarts)
         except (MissingExtra, ValueError):  # without shapely, or a budget for them
@@ -380,15 +404,6 @@ _PLAIN = (
     "_scale", "_learned_at", "_plans",
 )  # fmt: skip
 """Attributes of a mission that are saved as JSON."""
-
-
-def _goal(given: str | Area) -> Goal:
-    if isinstance(given, Area):
-        return Goal("region", region=given)
-    kind, argument = parse_goal(given) if isinstance(given, str) else ("region", "")
-    if kind == "region":
-        raise ValueError(f"goal: got {given}; allowed: map, hotspots, threshold=V or an Area")
-    return Goal(kind, float(argument) if argument else np.nan)
 
 
 def _position(name: str, at: Any) -> Waypoints:

@@ -1,7 +1,7 @@
 """Shortest paths in an area, around its holes and no-go zones."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
@@ -12,6 +12,18 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 MOST_CORNERS = 400  # of the graph; the outline is simplified until it has no more
+
+
+class Ways(Protocol):
+    """Ways between two points, as of `Transfers`."""
+
+    def are_clear(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the area."""
+        ...
+
+    def path(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Waypoints `[W, 2]` of a way between two points, or a `ValueError` if there is none."""
+        ...
 
 
 class Transfers:

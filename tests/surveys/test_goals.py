@@ -44,3 +44,40 @@ def test_goals_are_parsed():
     for text in ("maps", "threshold", "threshold=", "threshold=deep", "threshold=nan", "region=", "map=1"):
         with pytest.raises(ValueError, match=r"^got .*; allowed: "):
             parse_goal(text)
+
+
+def outcomes(mean, explained, number=400_000):
+    """Means that samples may leave at each place: independent draws `[number, M]`."""
+    return mean + np.sqrt(explained) * np.random.default_rng(1).standard_normal((number, len(mean)))
+
+
+MEAN, VARIANCE = np.array([0.3, -0.5, 1.2, 0.9]), np.array([1.0, 0.5, 0.2, 0.8])
+EXPLAINED = np.array([0.6, 0.45, 0.0, 0.79])
+
+
+def test_the_loss_of_hot_spots_is_the_expected_improvement_over_the_highest_mean():
+    improvement = np.maximum(outcomes(MEAN, EXPLAINED) - MEAN.max(), 0.0)
+    found = Goal("hotspots").loss(MEAN, VARIANCE, EXPLAINED)
+    assert found == pytest.approx(-np.sqrt(np.mean(improvement**2)), rel=5e-3)
+
+
+def test_the_loss_of_a_threshold_is_the_share_that_will_be_on_its_wrong_side():
+    means = outcomes(MEAN, EXPLAINED)
+    left = np.sqrt(VARIANCE - EXPLAINED)
+    is_wrong = norm.cdf(-np.abs(means - 0.7) / left)  # of the field around the mean, given each outcome
+    found = Goal("threshold", threshold=0.7).loss(MEAN, VARIANCE, EXPLAINED)
+    assert found == pytest.approx(is_wrong.mean(), rel=2e-3)
+    known = Goal("threshold", threshold=0.7).loss(MEAN, VARIANCE, VARIANCE)
+    assert known == pytest.approx(0.0, abs=1e-3)
+
+
+def test_losses_without_knowledge_fall_with_the_variance_that_is_explained():
+    explained = np.random.default_rng(2).uniform(0.0, 1.0, (30, 50))
+    mean, variance = np.zeros(50), np.ones(50)
+    order = np.argsort(explained.mean(axis=1))
+    for kind in ("map", "hotspots"):
+        found = Goal(kind).loss(mean, variance, explained)
+        np.testing.assert_array_equal(np.argsort(-found), order)
+    np.testing.assert_allclose(
+        Goal().loss(mean, variance, explained) ** 2, 1.0 - explained.mean(axis=1), rtol=1e-12
+    )

@@ -1,0 +1,220 @@
+"""Routes of least loss by random search: tours through likely places, and changes of the best of them.
+
+A goal that depends on values has many local optima, one for each order of the places that are worth a visit:
+the search compares whole tours, which a descent from evenly spread lines would not reach.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial import KDTree
+
+from bojax.config.extras import MissingExtra
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.surveys.area import Area
+from bojax.surveys.goals import Goal
+from bojax.surveys.guesses import tour
+from bojax.surveys.lawnmower import Ground, cut, joined
+from bojax.surveys.polylines import Waypoints, length_of, points_along
+from bojax.surveys.route import NUM_SCORED, Route, spread_points, stays_inside
+from bojax.surveys.shapes import to_area
+from bojax.surveys.transfers import Ways
+
+NUM_SAMPLES = 40
+"""Samples of a route while it is compared; each stands for several measurements, or for a part of one."""
+
+NUM_TOURS, NUM_KEPT = 48, 3
+"""Tours that are drawn, and the number of the best routes that are changed."""
+
+NUM_ROUNDS, NUM_CHANGES = 13, 10
+"""Rounds of changes, and changes of each route in a round."""
+
+THINNING = 3
+"""One of so many points counts in the loss: samples lie at the points, and need more of them."""
+
+STOP_DISTANCE = 0.3
+"""Budget for each stop of the tours with the most stops, as a share of the area's size."""
+
+MOST_STOPS = 100
+"""Stops that are added to a route at most, until its budget is used."""
+
+UNTOLD = 1e6
+"""Noise variance of a sample that is not taken, in variances of the field."""
+
+REACH = 0.1
+"""Standard deviation of the move of a stop in the first round, as a share of the area's size."""
+
+
+class StraightLines:
+    """Ways in an area without obstacles."""
+
+    def __init__(self, area: Area):
+        """Lines that stay in the area."""
+        self._area = area
+
+    def are_clear(self, first: Waypoints, last: Waypoints) -> np.ndarray:
+        """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the area."""
+        return np.array([stays_inside(np.stack(pair), self._area) for pair in zip(first, last, strict=True)])
+
+    def path(self, first: Waypoints, last: Waypoints) -> Waypoints:
+        """The straight line between two points, or a `ValueError` if it leaves the area."""
+        if not self.are_clear(first[None], last[None])[0]:
+            raise ValueError("no straight line joins the points")
+        return np.stack([first, last])
+
+
+def part_around(area: Area, point: Waypoints) -> tuple[Area, Ways]:
+    """The part of an area that a point is in, and shortest paths in it.
+
+    Without shapely it is the whole area, and only straight lines join points.
+    """
+    try:
+        ground = Ground.of(area, point)
+    except MissingExtra:
+        return area, StraightLines(area)
+    return to_area(ground.shape), ground.transfers
+
+
+class Search:
+    """A search for the route of one robot.
+
+    Tours through likely places are drawn, and the best are changed at random: a stop is moved, added or left
+    out, and the change is kept if the loss falls.
+    """
+
+    def __init__(
+        self,
+        posterior: GaussianProcess,
+        area: Area,
+        budget: float,
+        start: Waypoints,
+        end: Waypoints | None,
+        goal: Goal,
+        *,
+        spacing: float,
+        ways: Ways,
+        random: np.random.Generator,
+    ):
+        """Prepare the search.
+
+        Args:
+            posterior: Belief about the field, of positions in metres.
+            area: Area to survey, in one part.
+            budget: Maximum length, m, with which the end can be reached.
+            start: First point, m.
+            end: Last point, m; free if None.
+            goal: What the route is for, in the units of the belief.
+            spacing: Distance between two measurements, m.
+            ways: Ways between two points in the area.
+            random: Generator of tours and changes.
+        """
+        x_min, y_min, x_max, y_max = area.bounds
+        self._size = max(x_max - x_min, y_max - y_min)
+        self._area, self._budget, self._start, self._end = area, budget, start, end
+        self._ways, self._random = ways, random
+        self._points, self._goal = spread_points(area, NUM_SCORED), goal
+        self._tree = KDTree(self._points)
+        self._mean, self._covariance = map(np.asarray, _moments(posterior, jnp.asarray(self._points)))
+        self._step = budget / NUM_SAMPLES
+        self._noise = float(posterior.noise_variance) * spacing / self._step
+        weights = goal.weights(self._mean, np.sqrt(np.maximum(self._covariance.diagonal(), 0.0)))
+        # Some stops are drawn evenly: a single likely place would leave no way to use the budget.
+        self._shares = 0.9 * weights / weights.sum() + 0.1 / len(weights)
+
+    def route(self, earlier: Waypoints | None = None) -> Route:
+        """The best route that is found, from the rest of an earlier plan, if there is one, and from tours.
+
+        Raises:
+            ValueError: No tour stays in the area.
+        """
+        drawn = [] if earlier is None else [("earlier plan", earlier)]
+        drawn += [(f"tour {index + 1}", self._tour()) for index in range(NUM_TOURS)]
+        found = [(name, route) for name, stops in drawn if (route := self._within(stops)) is not None]
+        if not found:
+            raise ValueError("route: no tour stays in the area; allowed: an area in one part")
+        errors = self._errors_after([route for _, route in found])
+        candidates = {name: float(error) for (name, _), error in zip(found, errors, strict=True)}
+        best = np.argsort(errors, kind="stable")[:NUM_KEPT]
+        kept = [found[index][1] for index in best]
+        for number in range(NUM_ROUNDS):
+            kept = self._improved(kept, REACH * self._size * 0.3 ** (number / NUM_ROUNDS))
+        errors = self._errors_after(kept)
+        names = [f"improved from {found[index][0]}" for index in best]
+        candidates |= dict(zip(names, errors.tolist(), strict=True))
+        first = int(np.argmin(errors))
+        ordered = dict(sorted(candidates.items(), key=lambda each: each[1]))
+        return Route(kept[first], length_of(kept[first]), float(errors[first]), names[first], ordered)
+
+    def _improved(self, kept: list[Waypoints], reach: float) -> list[Waypoints]:
+        """The best of each route and of its changes: different tours do not compete yet."""
+        changed = [
+            (route, self._within(self._changed(route, reach))) for route in kept for _ in range(NUM_CHANGES)
+        ]
+        routes = [before if after is None else after for before, after in changed]
+        errors = self._errors_after([*kept, *routes])
+        errors, after = errors[: len(kept)], errors[len(kept) :].reshape(len(kept), NUM_CHANGES)
+        best = after.argmin(axis=1)
+        return [
+            routes[index * NUM_CHANGES + best[index]] if after[index, best[index]] < errors[index] else route
+            for index, route in enumerate(kept)
+        ]
+
+    def _tour(self) -> Waypoints:
+        """A short tour through likely stops, of a random number."""
+        most = 2 + int(self._budget / (STOP_DISTANCE * self._size))
+        stops = np.unique(self._stops(int(self._random.integers(1, most + 1))), axis=0)
+        return tour(stops, len(stops), self._start, None, self._random)
+
+    def _changed(self, route: Waypoints, reach: float) -> Waypoints:
+        """The route with a stop less, more or moved; the start stays."""
+        index, kind = self._random.integers(1, len(route)), self._random.random()
+        if kind < 0.15 and len(route) > 2:
+            return np.delete(route, index, axis=0)
+        if kind < 0.3:
+            between = (route[index - 1] + route[index]) / 2.0 + reach * self._random.standard_normal(2)
+            return np.insert(route, index, between, axis=0)
+        moved = route.copy()
+        moved[index] += reach * self._random.standard_normal(2)
+        return moved
+
+    def _within(self, stops: Waypoints) -> Waypoints | None:
+        """The route through stops, and more of them until the budget is used; None if it leaves the area."""
+        if not self._area.contains(stops[1:]).all():
+            return None
+        try:
+            route = joined([stops], self._ways)
+            for _ in range(MOST_STOPS):
+                if length_of(route) >= self._budget:
+                    break
+                route = np.concatenate([route, joined([route[-1:], self._stops(1)], self._ways)[1:]])
+            return cut(route, self._budget, self._end, self._ways)
+        except ValueError:  # no way joins two stops
+            return None
+
+    def _stops(self, number: int) -> Waypoints:
+        return self._points[self._random.choice(len(self._points), number, p=self._shares)]
+
+    def _errors_after(self, routes: list[Waypoints]) -> np.ndarray:
+        """The loss after each route `[R]`, with its samples moved to the nearest points."""
+        distances = self._step * np.arange(1, NUM_SAMPLES + 1)
+        samples = np.stack([points_along(route, distances) for route in routes])
+        at = np.asarray(self._tree.query(samples)[1])  # [R, S]
+        # A sample beyond the end of a shorter route tells nothing.
+        lengths = np.array([length_of(route) for route in routes])
+        is_taken = distances <= lengths[:, None] * (1.0 + 1e-9)
+        noise = np.where(is_taken, self._noise, UNTOLD * self._covariance.diagonal().max())
+        joint = self._covariance[at[:, :, None], at[:, None, :]]
+        joint += noise[:, :, None] * np.eye(NUM_SAMPLES)
+        across = self._covariance[:, ::THINNING][at]  # [R, S, M]
+        explained = np.sum(across * np.linalg.solve(joint, across), axis=1)
+        variance = self._covariance.diagonal()[::THINNING]
+        return self._goal.loss(self._mean[::THINNING], variance, explained)
+
+
+@eqx.filter_jit
+def _moments(
+    posterior: GaussianProcess, points: Float[Array, "M 2"]
+) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
+    """Mean and covariance at points."""
+    return posterior.predict_covariance(points)

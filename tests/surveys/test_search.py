@@ -1,0 +1,101 @@
+"""The search finds routes of small loss that keep the budget, the ends and the area."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.surveys.area import Area
+from bojax.surveys.goals import Goal
+from bojax.surveys.polylines import length_of, points_along
+from bojax.surveys.route import stays_inside
+from bojax.surveys.search import NUM_SAMPLES, THINNING, Search, StraightLines
+
+SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)
+PEAK = np.array([8.0, 3.0])
+START = np.array([1.0, 8.0])
+NOISE = 0.01
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def covariance(first, second):
+    scaled = np.sqrt(5.0) * cdist(first, second) / 1.5
+    return (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+
+
+def belief(points, values):
+    kernel = Scaled(Matern52(jnp.asarray(1.5)), jnp.asarray(1.0))
+    return GaussianProcess.fit(kernel, jnp.asarray(NOISE), jnp.asarray(points), jnp.asarray(values))
+
+
+SEEN = SQUARE.grid(2.5)
+VALUES = 2.0 * np.exp(-0.1 * np.sum((SEEN - PEAK) ** 2, axis=1))
+
+
+def search(goal, area=SQUARE, budget=12.0, end=None, ways=None, seed=0):
+    ways = StraightLines(area) if ways is None else ways
+    random = np.random.default_rng(seed)
+    return Search(belief(SEEN, VALUES), area, budget, START, end, goal, spacing=0.2, ways=ways, random=random)
+
+
+def test_a_route_for_hot_spots_leads_to_the_highest_place():
+    route = search(Goal("hotspots")).route().waypoints
+    driven = points_along(route, np.linspace(0.0, 12.0, 200))
+    assert np.linalg.norm(driven - PEAK, axis=1).min() < 0.75
+    assert length_of(route) == pytest.approx(12.0)
+
+
+def test_the_loss_of_a_route_is_that_of_a_plain_gaussian_process():
+    goal = Goal("threshold", threshold=1.0)
+    found = search(goal)
+    route = found.route()
+    points = found._points
+    samples = points_along(route.waypoints, 12.0 / NUM_SAMPLES * np.arange(1, NUM_SAMPLES + 1))
+    samples = points[cdist(samples, points).argmin(axis=1)]
+    counted = points[::THINNING]
+    inverse = np.linalg.inv(covariance(SEEN, SEEN) + NOISE * np.eye(len(SEEN)))
+    mean = covariance(counted, SEEN) @ inverse @ VALUES
+
+    def left(x, noise):
+        across = covariance(counted, x)
+        return 1.0 - np.sum(across @ np.linalg.inv(covariance(x, x) + np.diag(noise)) * across, axis=1)
+
+    before = left(SEEN, np.full(len(SEEN), NOISE))
+    noise = np.append(np.full(len(SEEN), NOISE), np.full(NUM_SAMPLES, NOISE * 0.2 / (12.0 / NUM_SAMPLES)))
+    after = left(np.concatenate([SEEN, samples]), noise)
+    assert route.error == pytest.approx(goal.loss(mean, before, before - after), rel=1e-6)
+    assert route.error == min(route.candidates.values())
+
+
+def test_an_earlier_plan_is_never_replaced_by_a_worse_one():
+    goal = Goal("hotspots")
+    first = search(goal, seed=1).route()
+    second = search(goal, seed=2).route(first.waypoints)
+    assert second.error <= first.error * (1.0 - 1e-9) + 1e-12 or second.error == pytest.approx(first.error)
+
+
+def test_walls_budget_and_end_are_kept():
+    pytest.importorskip("shapely")
+    from bojax.surveys.lawnmower import Ground
+
+    wall = np.array([[4.5, 1.0], [5.5, 1.0], [5.5, 10.0], [4.5, 10.0]])
+    area, end = SQUARE.without([(wall,)]), np.array([1.0, 1.0])
+    route = search(Goal("hotspots"), area, 30.0, end, Ground.of(area, START).transfers).route().waypoints
+    assert stays_inside(route, area)
+    assert length_of(route) <= 30.0 * (1.0 + 1e-9)
+    np.testing.assert_allclose(route[[0, -1]], [START, end], atol=1e-6)
+    assert route[:, 0].max() > 6.0  # beyond the wall
+
+
+def test_without_shapely_lines_around_a_hole_are_left_out():
+    hole = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
+    area = SQUARE.without([(hole,)])
+    assert stays_inside(search(Goal("hotspots"), area, 20.0).route().waypoints, area)
