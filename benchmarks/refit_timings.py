@@ -5,6 +5,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -34,7 +35,7 @@ DOMAINS = {
 ROWS = "observations", "actions", "rewards", "next_observations", "terminated"
 
 
-def make_run(domain: str, num_features: int, refit: str = "direct"):
+def make_run(domain: str, num_features: int, refit: Literal["direct", "none"] = "direct"):
     """A run of Table 5.3; its episodes end with the first success."""
     env, lengthscales = DOMAINS[domain]
     features = RandomFourierFeatures(**lengthscales, num_features=num_features)
@@ -54,7 +55,7 @@ def empty_state(run, index):
 def record(args, name: str) -> None:
     """Record the states of runs before a refit, and what NumPy makes of them."""
     domain, num_features, episode = SETS[name]
-    run, online = (make_run(domain, num_features, refit) for refit in ("direct", "none"))
+    run, online = make_run(domain, num_features), make_run(domain, num_features, "none")
     keys = jax.random.split(jax.random.key(args.seed), 4 * args.runs)
     carry = jax.jit(jax.vmap(run.init, axis_name=LANES))(keys)
     advance, online_advance = (jax.jit(jax.vmap(r.advance, axis_name=LANES)) for r in (run, online))
@@ -69,7 +70,7 @@ def record(args, name: str) -> None:
     states = eqx.tree_at(lambda s: s.posterior.mean, carry.learner, means)
     states = row_of(states, going)
     memory = jax.tree.map(lambda x: x[:, :most] if x.ndim > 1 else x, states.memory)
-    saved = {"count": np.asarray(memory.count), "mean": np.asarray(states.posterior.mean)}
+    saved: dict[str, Any] = {"count": np.asarray(memory.count), "mean": np.asarray(states.posterior.mean)}
     for part, tree in (("features", states.features), ("memory", memory)):
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
         saved |= {f"{part}{i}": leaf for i, leaf in enumerate(leaves)}
@@ -78,7 +79,7 @@ def record(args, name: str) -> None:
     np.savez_compressed(path, **saved)
     states, keys = load(args, name, run)
     references = [reference(run, row_of(states, i), keys[i]) for i in range(len(going))]
-    np.savez_compressed(path, **saved, reference=[r[0] for r in references])
+    np.savez_compressed(path, **saved, reference=np.stack([r[0] for r in references]))
     policies = [r[1] for r in references]
     print(f"{name}: {len(going)} runs of {saved['count']} transitions, policies {policies}", flush=True)
 
