@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 from jax.lax import DotAlgorithmPreset, Precision
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from bojax.numerics.loops import is_unrolled, short_loop
-from bojax.numerics.stragglers import while_going
 
 HIGHEST = Precision.HIGHEST
 """Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
@@ -250,10 +249,20 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
     return short_loop(n, eliminate, jnp.concatenate([a, b], axis=-1))[:, n:]
 
 
+def solve_large(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:
+    """Solution of `a x = b` of any size, by LAPACK's LU factors on a CPU and by blocks elsewhere."""
+    if jax.default_backend() == "cpu":
+        return _solve_by_lapack(jnp.concatenate([a, b], axis=1))
+    # A step of refinement, since the elimination by blocks hardly exchanges rows.
+    inverse = inverse_by_blocks(a)
+    x = matmul(inverse, b)
+    return x + matmul(inverse, b - matmul(a, x))
+
+
 @one_by_one_on_cpu
-def inverse_matrix(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """The inverse of a matrix of any size, by LAPACK's LU factors on a CPU and by blocks elsewhere."""
-    return jnp.linalg.inv(a) if jax.default_backend() == "cpu" else inverse_by_blocks(a)
+def _solve_by_lapack(rows: Float[Array, "N C"]) -> Float[Array, "N K"]:
+    """The solution of `a x = b`, given [a | b]."""
+    return jnp.linalg.solve(rows[:, : len(rows)], rows[:, len(rows) :])
 
 
 def inverse_by_blocks(a: Float[Array, "N N"], block: int = 64) -> Float[Array, "N N"]:
@@ -284,58 +293,3 @@ def inverse_by_blocks(a: Float[Array, "N N"], block: int = 64) -> Float[Array, "
         return jax.lax.dynamic_update_slice_in_dim(a, rows, first, 0)
 
     return jax.lax.fori_loop(0, number, eliminate, a)[:n, :n]
-
-
-def gcr(
-    times: Callable[[Float[Array, "N"]], Float[Array, "N"]],
-    inverse: Float[Array, "N N"],
-    start: Float[Array, "N"],
-    residual: Float[Array, "N"],
-    is_active: Bool[Array, ""],
-    most: int = 24,
-) -> tuple[Float[Array, "N"], Bool[Array, ""]]:
-    """Solution of `a x = b` by the method of generalised conjugate residuals, preconditioned from the left.
-
-    Eisenstat, Elman and Schultz (1983): the iterates of GMRES without restarts. A lane ends when the norm of
-    `inverse (b - a x)`, which estimates the error of x, is below eps^(2/3) of the norm of x: 4e-11 of it in
-    float64 and 2e-5 in float32. (`jax.scipy.sparse.linalg.gmres` does not tell whether it has converged.)
-
-    Args:
-        times: The product with `a`.
-        inverse: An approximation of the inverse of `a`.
-        start: First x.
-        residual: b - a x of the first x.
-        is_active: Whether x may change.
-        most: Largest number of iterations, each with one product with `a` and one with `inverse`.
-
-    Returns:
-        The last x, and whether it is a solution.
-    """
-    accuracy = float(jnp.finfo(start.dtype).eps) ** (2.0 / 3.0)
-
-    def is_solution(x, error):
-        return ~(jnp.linalg.norm(error) > accuracy * jnp.linalg.norm(x))
-
-    def step(number, loop):
-        x, error, directions, images, going = loop
-        image = matmul(inverse, times(error))
-        # Twice, since rounding leaves a share of the other images after the first time.
-        direction = error
-        for _ in range(2):
-            shares = matmul(images, image)
-            image, direction = image - matmul(shares, images), direction - matmul(shares, directions)
-        norm = jnp.linalg.norm(image)
-        scale = jnp.where(going & (norm > 0.0), 1.0 / norm, 0.0)
-        direction, image = scale * direction, scale * image
-        length = jnp.sum(image * error)
-        x, error = x + length * direction, error - length * image
-        directions, images = directions.at[number].set(direction), images.at[number].set(image)
-        going = going & ~is_solution(x, error) & (number + 1 < most)
-        return x, error, directions, images, going
-
-    # Directions and their images are kept in arrays of `most` rows, zero until they are written: a product
-    # with all of them needs no mask, and a direction of zeros in a lane that has ended changes nothing.
-    error, none = matmul(inverse, residual), jnp.zeros((most, len(start)), start.dtype)
-    going = is_active & ~is_solution(start, error)
-    x, error, _, _, _ = while_going(lambda loop: loop[-1], step, (start, error, none, none, going))
-    return x, is_solution(x, error)

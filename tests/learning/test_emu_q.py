@@ -8,11 +8,11 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning import refit
+from bojax.learning import refit_equations, refit_rows
 from bojax.learning.base import Episode, ExplorationState, Transition
 from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
 from bojax.numerics.lanes import LANES
-from bojax.numerics.linalg import gcr
+from bojax.numerics.linalg import solve_large
 from bojax.numerics.stragglers import LEAST
 from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode
 from tests.tiers import by_tier
@@ -194,23 +194,24 @@ def test_sweeps_converge_to_the_direct_solution(terminal_u):
     np.testing.assert_allclose(means["sweeps"], means["direct"], atol=1e-7 * np.abs(means["direct"]).max())
 
 
-@pytest.mark.parametrize(("draw_actions", "most", "seed"), [("always", 24, 2), ("once", 1, 2)])
-def test_direct_solutions_are_those_of_numpy(monkeypatch, draw_actions, most, seed):
-    # With one iteration at most, an earlier inverse is not good enough, and every new policy needs its own.
+@pytest.mark.parametrize("size", [512, 7])
+def test_direct_solutions_are_those_of_numpy(monkeypatch, size):
+    # All changed transitions at once, or in several parts.
     solved = []
 
-    def counted(times, inverse, start, residual, is_active):
+    def counted(matrix, constants):
         jax.debug.callback(lambda: solved.append(1))
-        return gcr(times, inverse, start, residual, is_active, most)
+        return solve_large(matrix, constants)
 
-    monkeypatch.setattr(refit, "gcr", counted)
+    monkeypatch.setattr(refit_equations, "solve_large", counted)
+    monkeypatch.setattr(refit_equations, "CHANGED_ON_CPU", size)
     features = {"num_features": 30, "action_lengthscale": 0.1, "state_lengthscale": 0.3}
-    learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions=draw_actions)
-    steps, start = transitions(), 3.0 * np.random.default_rng(seed).normal(size=(2, 30))
+    learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions="always")
+    steps, start = transitions(), 3.0 * np.random.default_rng(2).normal(size=(2, 30))
     state = observe_all(learner, state, steps, EXPLORING)
     state = eqx.tree_at(lambda state: state.posterior.mean, state, jnp.asarray(start.T))
     episode = Episode(steps, jnp.asarray(NUM_STEPS, jnp.int32))
-    after = end_episode(learner, state, episode, EXPLORING, patched=most)
+    after = end_episode(learner, state, episode, EXPLORING, patched=size)
     jax.effects_barrier()
 
     candidates, samples = learner.model.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
@@ -219,8 +220,8 @@ def test_direct_solutions_are_those_of_numpy(monkeypatch, draw_actions, most, se
     reference.s, (reference.m_q, reference.m_u) = np.asarray(state.posterior.base), start
     reference.end_episode(*(np.asarray(leaf) for leaf in jax.tree.leaves(steps)))
     assert 5 < reference.policies < learner.max_sweeps
-    # The policies of Q and that of U; those without a solution are tried again.
-    assert len(solved) == reference.policies + 1 if most > 1 else len(solved) > reference.policies + 1
+    # One solution for each policy of Q; its last one is also that of U, unless the policies are irregular.
+    assert len(solved) == reference.policies + (reference.growths == 2)
     np.testing.assert_allclose(after.posterior.mean[:, 0], reference.m_q, atol=1e-8)
     np.testing.assert_allclose(
         after.posterior.mean[:, 1], reference.m_u, atol=1e-9 * np.abs(reference.m_u).max()
@@ -309,7 +310,7 @@ def test_blocks_of_a_refit_do_not_matter_nor_whether_features_are_stored_or_reco
         learn(*make(refit=how, refit_block=block), steps)[1].posterior.mean for block in (7, NUM_STEPS, 512)
     ]
     for name in ("NUM_STORED", "NUM_STORED_ON_CPU"):
-        monkeypatch.setattr(refit, name, 16)
+        monkeypatch.setattr(refit_rows, name, 16)
     means.append(learn(*make(refit=how, refit_block=10), steps, patched=16)[1].posterior.mean)
     for mean in means[1:]:
         np.testing.assert_allclose(means[0], mean, atol=1e-9)
