@@ -2,8 +2,8 @@
 
 Peers: the published POMCPOW as loops compiled by Numba, and POMCP of pomdp-py, which needs finite actions and
 observations (50 actions, readings rounded to .2, as published). All plan for the initial belief. Peers that
-are not installed are named and skipped; POMDPPlanners is not measured, as it depends on PyTorch, MLflow and
-Dask.
+are not installed are named and skipped. POMDPPlanners needs an environment of its own: its stored rates are
+printed, which `pomdpplanners_vdp_tag.py` measured.
 """
 
 import argparse

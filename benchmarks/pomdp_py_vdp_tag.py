@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import vdp_tag_scalars
 from typing_extensions import override
 
 pomdp_py: Any = importlib.import_module("pomdp_py")  # it has no types
@@ -60,34 +61,6 @@ class Observation(pomdp_py.Observation):
 ACTIONS = [Action(2.0 * math.pi * k / 25, look) for k in range(25) for look in (False, True)]
 
 
-def _drift(x: float, y: float) -> tuple[float, float]:
-    def velocity(x, y):
-        return 2.0 * (x - x**3 / 3.0 - y), x / 2.0
-
-    h = 0.1
-    for _ in range(5):
-        a = velocity(x, y)
-        b = velocity(x + h / 2 * a[0], y + h / 2 * a[1])
-        c = velocity(x + h / 2 * b[0], y + h / 2 * b[1])
-        d = velocity(x + h * c[0], y + h * c[1])
-        x += h / 6 * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
-        y += h / 6 * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
-    return x, y
-
-
-def _move(x: float, y: float, angle: float) -> tuple[float, float]:
-    dx, dy = 0.5 * math.cos(angle), 0.5 * math.sin(angle)
-    share = 1.0
-    for ux, uy in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
-        cross = 2.8 * (ux * dy - uy * dx)
-        if cross != 0.0:
-            u = ((x - 0.2 * ux) * 2.8 * uy - (y - 0.2 * uy) * 2.8 * ux) / cross
-            t = ((x - 0.2 * ux) * dy - (y - 0.2 * uy) * dx) / cross
-            if 0.0 <= u < share and 0.0 <= t <= 1.0:
-                share = u - 4.4e-16
-    return x + share * dx, y + share * dy
-
-
 class Transition(pomdp_py.TransitionModel):
     """The next state."""
 
@@ -95,10 +68,7 @@ class Transition(pomdp_py.TransitionModel):
         """A draw; a terminal state stays."""
         if state.is_over:
             return state
-        (x, y), (left, up) = _drift(*state.target), state.agent
-        agent = _move(left, up, action.angle)
-        target = x + random.gauss(0.0, 0.05), y + random.gauss(0.0, 0.05)
-        return State(agent, target, math.dist(agent, target) < 0.1)
+        return State(*vdp_tag_scalars.step(state.agent, state.target, action.angle))
 
 
 class Readings(pomdp_py.ObservationModel):
@@ -106,10 +76,7 @@ class Readings(pomdp_py.ObservationModel):
 
     def sample(self, next_state, action):
         """A draw."""
-        dx, dy = (t - a for t, a in zip(next_state.target, next_state.agent, strict=True))
-        beam = math.ceil(8.0 * (math.atan2(dy, dx) % (2.0 * math.pi)) / (2.0 * math.pi)) - 1
-        readings = [random.gauss(1.0, 5.0) for _ in range(8)]
-        readings[beam] = random.gauss(math.hypot(dx, dy), 0.1 if action.look else 5.0)
+        readings = vdp_tag_scalars.readings(next_state.agent, next_state.target, action.look)
         return Observation(tuple(math.floor(reading / 0.2) for reading in readings))
 
 
@@ -120,7 +87,7 @@ class Reward(pomdp_py.RewardModel):
         """The reward; 0 after the end."""
         if state.is_over:
             return 0.0
-        return (100.0 if next_state.is_over else -1.0) - 5.0 * action.look
+        return vdp_tag_scalars.reward(next_state.is_over, action.look)
 
 
 class Random(pomdp_py.RolloutPolicy):

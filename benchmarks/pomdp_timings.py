@@ -1,9 +1,11 @@
 """The timings of bench_pomdp.py, run in a process with its own cores."""
 
 import itertools
+import json
 import resource
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,6 +18,9 @@ from bojax.engine.build import build
 from bojax.planning.settings import PFTDPW, POMCPOW
 from bojax.problems import particles
 from bojax.problems.pomdp.settings import VdpTag
+
+STORED = Path(__file__).with_name("results") / "2026-11-26-pomdpplanners-cpu.json"
+"""What `pomdpplanners_vdp_tag.py` measured in an environment of its own."""
 
 NUM_PARTICLES = 1000
 DEPTH = 10
@@ -70,10 +75,19 @@ def main(argv: list[str]) -> int:
             print(f"{row.what}, {runs} runs: {_memory()}", flush=True)
     print_rows("VDP Tag", "iterations", rows, rows[0].what)
     print_ratios(rows, {})
+    print(stored())
     if args.json:
         described = {"iterations": args.iterations, "depth": DEPTH, "num_particles": NUM_PARTICLES}
         write_record(args.json, "pomdp", "iterations", rows, described)
     return 0
+
+
+def stored() -> str:
+    """The stored rates of a peer that is not measured here, as a line."""
+    record = json.loads(STORED.read_text())
+    rates = ", ".join(f"{solver} {rate:,}" for solver, rate in record["iterations_per_s"].items())
+    of = f"{record['package']} {record['version']}, measured on {record['date']}, one core"
+    return f"{of}: {rates} iterations/s (pomdpplanners_vdp_tag.py)"
 
 
 def _memory() -> str:
