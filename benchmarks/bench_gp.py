@@ -1,4 +1,4 @@
-"""Fit and prediction of Gaussian processes, compared with scikit-learn, BoTorch, tinygp and plain JAX.
+"""Fit and prediction of Gaussian processes, beside scikit-learn, BoTorch, tinygp, GPJax and JAX.
 
 Every process has its own data and lengthscale; the hyper-parameters are given and not learned. Variances are
 those of the noise-free function.

@@ -73,6 +73,20 @@ def load_tinygp() -> Callable:
     return process
 
 
+def load_gpjax() -> Callable:
+    """Mean and variance by GPJax, of one process."""
+    import gpjax  # pyright: ignore[reportMissingImports]
+
+    def process(x, y, queries, lengthscale):
+        kernel = gpjax.kernels.RBF(lengthscale=lengthscale)
+        prior = gpjax.Prior(kernel, gpjax.mean_functions.Zero(), jitter=0.0)
+        model = gpjax.ConjugateModel(prior, gpjax.likelihoods.Gaussian(np.sqrt(NOISE_VARIANCE)))
+        predictive = model.condition(gpjax.Dataset(x, y[:, None]))(queries)
+        return predictive.mean, predictive.variance
+
+    return process
+
+
 def load_scikit_learn() -> Callable:
     """Means and variances by scikit-learn, of all processes."""
     from sklearn.gaussian_process import GaussianProcessRegressor, kernels
@@ -124,7 +138,7 @@ def main(argv: list[str]) -> int:
     jax.config.update("jax_enable_x64", True)
     data = make_data(args.seed, args.processes, args.points, args.queries, args.dims)
     compiled = {"plain JAX": plain_jax_process}
-    compiled |= installed({"tinygp": ("tinygp", load_tinygp)})
+    compiled |= installed({"tinygp": ("tinygp", load_tinygp), "GPJax": ("gpjax", load_gpjax)})
     on_cpu = installed({"scikit-learn": ("sklearn", load_scikit_learn), "BoTorch": ("botorch", load_botorch)})
     compiled["bojax"] = bojax_process
 
