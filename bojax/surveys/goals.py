@@ -1,4 +1,4 @@
-"""Goals of a survey: how much the error at each place counts."""
+"""Goals of a survey: how much the error at each place counts, and what a route leaves undone."""
 
 import math
 import re
@@ -28,8 +28,8 @@ Kind = Literal["map", "hotspots", "threshold", "region"]
 class Goal:
     """What a survey is for.
 
-    The error that a survey leaves is a weighted mean over the area. The weights are computed from the belief
-    about the field before the route:
+    The error that a survey leaves is a weighted mean over the area; a mission, which learns values on the
+    way, has a `loss`. The weights are computed from the belief about the field before the route:
 
     - `map`: all places count alike.
     - `hotspots`: the probability that the field exceeds a level, at which these probabilities have a mean of

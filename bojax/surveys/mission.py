@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bojax.config.extras import MissingExtra
@@ -17,19 +16,9 @@ from bojax.results.store import write_arrays
 from bojax.surveys.area import Area
 from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
-from bojax.surveys.information import PointErrors
-from bojax.surveys.lawnmower import Ground
-from bojax.surveys.planning import Demand, best_lawnmowers, ground_within
+from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
-from bojax.surveys.route import (
-    NUM_GRID,
-    Route,
-    RouteOptions,
-    counted_points,
-    plan_route,
-    spread_points,
-    stays_inside,
-)
+from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points, stays_inside
 from bojax.surveys.search import Search, part_around
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
@@ -389,12 +378,10 @@ class Mission:
         if (rest := self._earlier(entry)) is not None:
             return {"earlier plan": rest}
         try:
-            ground, region = Ground.of(self.area, entry), self.goal.region
-            ground = ground if region is None else ground_within(ground, region)
-            grid = counted_points(self.area, region, NUM_GRID)
-            errors = PointErrors.of(self.posterior(), jnp.asarray(grid))
-            demand = Demand(left, entry, self.end)
-            return best_lawnmowers(ground, errors, demand, self.spacing, self.options.restarts)
+            return lawnmower_guesses(
+                self.posterior(), self.area, self.goal.region, Demand(left, entry, self.end), self.spacing,
+                self.options.restarts,
+            )  # fmt: skip
         except (MissingExtra, ValueError):  # without shapely, or a budget for them
             return {}
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 import jax.numpy as jnp
 import numpy as np
 
+from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.area import Area
 from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
 from bojax.surveys.lawnmower import DIRECTIONS, Ground, check_budget
 from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
-from bojax.surveys.route import RouteOptions, plan_routes
+from bojax.surveys.route import NUM_GRID, RouteOptions, counted_points, plan_routes
 from bojax.surveys.shapes import shapely_module, to_shape
 from bojax.surveys.team import keep_separation, team_lawnmowers
 
@@ -194,14 +195,20 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     )
 
 
-def best_lawnmowers(
-    ground: Ground, errors: PointErrors, demand: Demand, sampling: float, number: int
+def lawnmower_guesses(
+    posterior: GaussianProcess,
+    area: Area,
+    region: Area | None,
+    demand: Demand,
+    sampling: float,
+    number: int,
 ) -> dict[str, np.ndarray]:
     """The lawnmowers of one robot that are expected to leave the least error, at most `number` of them.
 
     Args:
-        ground: Where they are driven.
-        errors: Belief about the places that count.
+        posterior: Belief about the field.
+        area: The area; the part of it with the start counts.
+        region: Part of it where they are driven and errors count; None for all of it.
         demand: Budget and ends.
         sampling: Distance between two measurements, m.
         number: Largest number.
@@ -210,6 +217,9 @@ def best_lawnmowers(
         ValueError: The budget does not reach from the start to the end.
     """
     assert demand.budget is not None
+    ground = Ground.of(area, demand.start)
+    ground = ground if region is None else ground_within(ground, region)
+    errors = PointErrors.of(posterior, jnp.asarray(counted_points(area, region, NUM_GRID)))
     outcomes = _Outcomes(errors, sampling, demand.budget, 1)
     routes, _ = _lawnmowers(ground, 0.0, demand)
     found = [outcomes.of("lawnmower", detail, route)[0] for detail, route in routes]
