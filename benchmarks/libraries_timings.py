@@ -103,8 +103,9 @@ def plan_rows(args) -> list[Row]:
         return problem.reset(jax.random.fold_in(jax.random.key(args.seed), run))
 
     def plan(run):
-        made = planner.plan(jax.random.fold_in(jax.random.key(args.seed + 1), run), problem, start(run))
-        return made.action, made.value
+        key = jax.random.fold_in(jax.random.key(args.seed + 1), run)
+        tree, memory = planner.search(key, problem, start(run))
+        return planner.recommend(tree, memory), tree.totals  # two runs may recommend the same action
 
     rows = []
     for make in installed({"mctx": ("mctx", lambda: mctx_plans)}).values():
