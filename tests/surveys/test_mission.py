@@ -12,6 +12,7 @@ from bojax.surveys.area import Area
 from bojax.surveys.mission import Mission
 from bojax.surveys.polylines import length_of, points_along, rest_of
 from bojax.surveys.route import RouteOptions, fitted, stays_inside
+from tests.compiling import IS_CPU
 
 QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
 SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
@@ -112,6 +113,11 @@ def test_a_robot_outside_the_area_comes_back():
     assert length_of(np.concatenate([survey.position[None], waypoints])) <= survey.remaining * (1 + 1e-9)
 
 
+def assert_same_plan(first, second):
+    """Compare the next plans of two missions; sums on a GPU have an order of their own in each call."""
+    np.testing.assert_allclose(first.plan(), second.plan(), rtol=0.0, atol=0.0 if IS_CPU else 1e-9)
+
+
 def test_a_process_that_is_killed_between_two_steps_goes_on(tmp_path):
     file = tmp_path / "mission.npz"
     survey = mission(end=[5.0, 5.0])
@@ -126,7 +132,7 @@ def test_a_process_that_is_killed_between_two_steps_goes_on(tmp_path):
     """
     assert subprocess.run([sys.executable, "-c", textwrap.dedent(killed)]).returncode == -9
     resumed = Mission.load(file)
-    np.testing.assert_array_equal(resumed.plan(), survey.plan())
+    assert_same_plan(resumed, survey)
     assert resumed.remaining == survey.remaining
     assert resumed.num_measurements == survey.num_measurements
 
@@ -160,7 +166,7 @@ def test_a_goal_is_kept(tmp_path, goal):
     survey.save(tmp_path / "mission.npz")
     other = Mission.load(tmp_path / "mission.npz")
     assert other.goal.kind == survey.goal.kind
-    np.testing.assert_array_equal(other.plan(), survey.plan())
+    assert_same_plan(other, survey)
 
 
 def test_a_mission_for_hot_spots_ends_where_it_has_found_the_field_to_be_high():
@@ -232,5 +238,7 @@ def test_a_belief_from_many_measurements_is_close_to_the_exact_one_and_plans_are
     assert len(survey.posterior().y) == 256
     way = np.concatenate([survey.position[None], survey.plan()])
     # The lower half has been measured: the route is in the upper one.
-    assert np.median(way[:, 1]) > 3.0 and length_of(way) <= 12.0 + 1e-6
+    length = length_of(way)
+    driven = points_along(way, np.linspace(0.0, length, 101))
+    assert np.median(driven[:, 1]) > 3.0 and length <= 12.0 + 1e-6
     assert survey._learned_from().count == 256
