@@ -96,12 +96,13 @@ planner: {kind: sbo, motions: kernel}
 => x.yaml: problem.field: got {…; heights, centres, widths: got 2, 1 and 1 entries; allowed: the same number
    of each
 {problem: diagonal, planner: {kind: sbo, objective: gradeint}}
-=> x.yaml: planner.objective: got "gradeint"; unknown objective; allowed: gradient, information, uncertainty,
-   value; did you mean "gradient"?
+=> x.yaml: planner.objective: got "gradeint"; unknown objective; allowed: entropy, gradient, information,
+   uncertainty, value; did you mean "gradient"?
 {problem: {kind: diagonal, objective: rbf}, planner: sbo}
-=> x.yaml: problem.objective: got "rbf"; this name has the role kernel, not objective; allowed: gradient, …
+=> x.yaml: problem.objective: got "rbf"; this name has the role kernel, not objective; allowed: entropy, …
 {problem: {kind: diagonal, objective: null}, planner: sbo}
-=> x.yaml: problem.objective: got null; unknown objective; allowed: gradient, information, uncertainty, value
+=> x.yaml: problem.objective: got null; unknown objective; allowed: entropy, gradient, information,
+   uncertainty, value
 {problem: parking, planner: bo-pomdp}
 => x.yaml: experiment: got {…; planner.objective: bo-pomdp maximises an objective on a field, and parking has
    no field: set planner.objective to null, or choose another planner

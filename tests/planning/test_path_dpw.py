@@ -14,6 +14,7 @@ from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
 from tests.planning.belief_searches import RECOMMENDATION
 from tests.planning.samples import cubic_curves, f64, field_belief, monitoring
+from tests.tiers import by_tier
 
 OPEN = {"walls": None, "target_area": None, "domain": (0.0, 0.0, 6.0, 6.0)}
 NUM_SAMPLES = 6
@@ -78,8 +79,13 @@ def test_branches_are_other_observations_of_one_path():
         np.testing.assert_allclose(tree.outcome[branches[branches > 0], 0], tree.outcome[branches[0], 0])
 
 
-@pytest.mark.parametrize("widening, num_branches", [((1.0, 1.0), 40), ((1.0, 0.3), 3), ((1.0, 0.5), 1)])
-def test_the_value_of_one_path_is_its_expectation(widening, num_branches):
+WIDENINGS = ((1.0, 1.0), 40), ((1.0, 0.3), 3), ((1.0, 0.5), 1)
+"""Widening of observations, and the number of branches that it comes to."""
+
+
+@pytest.mark.parametrize("widening_and_branches", by_tier(WIDENINGS, normal=WIDENINGS[1:2]))
+def test_the_value_of_one_path_is_its_expectation(widening_and_branches):
+    widening, num_branches = widening_and_branches
     # One path alone: its rewards are linear in the posterior mean, whose expectation over imagined samples is
     # the mean before them. So the value without samples, of the predictive mean, is the expectation.
     motions = Straight(f64(0.8), NUM_SAMPLES)

@@ -19,14 +19,18 @@ def parking(**settings):
 
 def test_a_step_is_that_of_the_pose_problem():
     model = parking(problem={"rule": "anywhere-bearing-dropped", "distance_tolerance": 0.5})
-    ended = 0
-    for key in jax.random.split(jax.random.key(0), 60):
+
+    @jax.jit
+    def both(key):
         key_pose, key_action, key_step = jax.random.split(key, 3)
         pose = model.initial(key_pose) * jnp.asarray([0.4, 0.4, 1.0])
         action = model.actions.sample(key_action)
-        after, reward, terminated = model.step(key_step, pose, action)
-        path = model.motions.path(action)
-        world, _, events = model.problem.execute(key_step, pose, path)
+        world, _, events = model.problem.execute(key_step, pose, model.motions.path(action))
+        return model.step(key_step, pose, action), world, events
+
+    ended = 0
+    for key in jax.random.split(jax.random.key(0), 60):
+        (after, reward, terminated), world, events = both(key)
         np.testing.assert_allclose(after[:2], world[:2], atol=1e-12)
         np.testing.assert_allclose(jnp.sin(after[2]), jnp.sin(world[2]), atol=1e-12)
         assert (reward, terminated) == (events.reward, events.terminated)
