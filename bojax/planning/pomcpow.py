@@ -88,23 +88,23 @@ class POMCPOW(BeliefSearch):
         is_followed: Bool[Array, ""],
     ) -> tuple[Reservoirs, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
         key_step, key_places, key_draw = jax.random.split(key, 3)
-        own = jax.tree.map(lambda leaf: row(leaf, branch), tree.beliefs)
+        # What comes after the write of a row is read from the new array: XLA copies an array whose old rows
+        # are read by what need not precede the write.
+        beliefs, index = tree.beliefs, jnp.where(is_followed, branch, tree.beliefs.log_weight.shape[0])
         next_state, reward, ended = problem.step(key_step, state, action)
-        log_weight = _log_weight(problem, own.observation, state, action, next_state)
-        total = jnp.logaddexp(own.log_weight, log_weight)
-        probability = jnp.where(log_weight > -jnp.inf, jnp.exp(log_weight - total), 0.0)
+        log_weight = _log_weight(problem, row(beliefs.observation, branch), state, action, next_state)
+        total = jnp.logaddexp(row(beliefs.log_weight, branch), log_weight)
+        totals = beliefs.log_weight.at[index].set(total, mode="drop")
+        # Of a branch that is not followed, all that follows is ignored.
+        chance = jnp.exp(log_weight - row(totals, branch))
+        probability = jnp.where(log_weight > -jnp.inf, chance, 0.0)
 
         is_placed = jax.random.uniform(key_places, (self.num_reservoirs,), state.dtype) < probability
-        steps = jnp.where(is_placed[:, None], _packed(next_state, reward, ended)[None], own.steps)
-        drawn = row(steps, random_index(key_draw, jnp.asarray(self.num_reservoirs, jnp.int32)))
-
-        index = jnp.where(is_followed, branch, tree.beliefs.log_weight.shape[0])
-        written = [(tree.beliefs.steps, steps), (tree.beliefs.log_weight, total)]
-        beliefs = eqx.tree_at(
-            lambda beliefs: (beliefs.steps, beliefs.log_weight),
-            tree.beliefs,
-            tuple(all.at[index].set(own, mode="drop") for all, own in written),
-        )
+        step = _packed(next_state, reward, ended)
+        placed = jnp.where(is_placed[:, None], step[None], row(beliefs.steps, branch))
+        steps = beliefs.steps.at[index].set(placed, mode="drop")
+        drawn = row(steps, branch, random_index(key_draw, jnp.asarray(self.num_reservoirs, jnp.int32)))
+        beliefs = eqx.tree_at(lambda all: (all.steps, all.log_weight), beliefs, (steps, totals))
         return beliefs, drawn[:-2], drawn[-2], drawn[-1] > 0.0
 
     @override
