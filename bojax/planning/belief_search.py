@@ -191,14 +191,21 @@ class BeliefTreeSearch(eqx.Module):
         parameters = self._propose(problem, first, tree, key_proposal, end)
         action = problem.actions.decode(parameters)
         expansion = self.expand(key_expansion, problem, tree, end.state, end.node, action)
-        # XLA copies all beliefs in every iteration if old ones are read by what need not precede the write
-        # of the new one. So the write waits for the reward, by a condition that is never true, and what
-        # follows reads the beliefs of the grown tree.
-        waits = (i < 0) & (expansion.reward > 0.0)
+        at_horizon = self.leaf_at(tree, end.state, end.node)
+        leaf = jax.tree.map(lambda new, old: jnp.where(end.is_expanded, new, old), expansion.leaf, at_horizon)
+        is_over = end.is_expanded & expansion.is_terminal
+        remaining = jnp.where(end.is_expanded & ~is_over, self.depth - 1 - end.level, 0)
+        future = self.value_of(key_leaf, problem, leaf, remaining)
+        gain = expansion.reward + jnp.where(is_over, 0.0, problem.discount * future)
+
+        # XLA copies all beliefs in every iteration of a single search if old ones are read by what need not
+        # precede the write of the new one. So the write waits for the return, by a condition that is never
+        # true. (Reading from the grown tree instead is slower in a batch.)
+        waits = (i < 0) & (gain > 0.0)
         growth = Growth(
             iteration=i,
             belief=jax.tree.map(lambda leaf: jnp.where(waits, jnp.zeros_like(leaf), leaf), expansion.belief),
-            outcome=jnp.stack([expansion.reward, expansion.is_terminal.astype(expansion.reward.dtype)]),
+            outcome=jnp.stack([expansion.reward, expansion.is_terminal.astype(gain.dtype)]),
             parameters=parameters,
             node=end.node,
             slot=end.slot,
@@ -207,15 +214,8 @@ class BeliefTreeSearch(eqx.Module):
             is_new_action=end.is_expanded & end.is_new_action,
             is_new_branch=end.is_expanded,
         )
-        tree = tree.grown(growth)
-        at_horizon = self.leaf_at(tree, end.state, end.node)
-        leaf = jax.tree.map(lambda new, old: jnp.where(end.is_expanded, new, old), expansion.leaf, at_horizon)
-        is_over = end.is_expanded & expansion.is_terminal
-        remaining = jnp.where(end.is_expanded & ~is_over, self.depth - 1 - end.level, 0)
-        future = self.value_of(key_leaf, problem, leaf, remaining)
-        gain = expansion.reward + jnp.where(is_over, 0.0, problem.discount * future)
         totals = self._back_up(problem.discount, tree.totals, end, expansion.reward, gain, future)
-        return eqx.tree_at(lambda tree: tree.totals, tree, totals)
+        return eqx.tree_at(lambda tree: tree.totals, tree, totals).grown(growth)
 
     def _descend(
         self,
