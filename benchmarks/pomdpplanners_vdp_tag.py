@@ -87,10 +87,10 @@ def make_environment() -> Any:
             return Start()
 
         def initial_observation_dist(self) -> Any:
-            raise NotImplementedError
+            raise NotImplementedError("neither planner asks for a first observation")
 
         def transition_log_probability(self, state: State, action: Action, next_states: Any) -> np.ndarray:
-            raise NotImplementedError
+            raise NotImplementedError("neither planner asks for densities of states")
 
         def is_equal_observation(self, observation1: list[float], observation2: list[float]) -> bool:
             return observation1 == observation2

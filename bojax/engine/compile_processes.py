@@ -5,6 +5,8 @@ faster than one after the other, and its running chunks wait meanwhile. Where ma
 each is compiled in one of several child processes, which leave the traced programs in `program_cache`, the
 compiled ones in JAX's cache, and the choices of kernels in the folder of the plan. The parent then loads them
 from there. What a child cannot do, the parent does as if there were no children.
+
+They are no pool of `multiprocessing`: its processes would import the user's script anew, and start its sweep.
 """
 
 import contextlib
@@ -121,16 +123,17 @@ class CompileProcesses:
             "PYTHONPATH": os.pathsep.join(filter(None, path)),
             "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # this process has most of the memory
         }
-        self._children = [
-            subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env=os.environ | changes,
-            )
-            for _ in range(number)
-        ]
+        self._children: list[subprocess.Popen[bytes]] = []
+        with contextlib.suppress(OSError):  # too little memory, or too many processes: fewer do as well
+            for _ in range(number):
+                child = subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    env=os.environ | changes,
+                )
+                self._children.append(child)
         for child in self._children:
             self._send(child, _flags())
             self._idle.put(child)

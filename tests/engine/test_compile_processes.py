@@ -79,6 +79,16 @@ def test_the_parent_compiles_what_a_child_does_not(enough, tmp_path, monkeypatch
     assert batch.compile_counts.total() > before
 
 
+def test_processes_that_do_not_start_are_done_without(monkeypatch):
+    def refuse(*_, **__):
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    monkeypatch.setattr(compile_processes.subprocess, "Popen", refuse)
+    processes = CompileProcesses(2)
+    assert not processes
+    processes.close()
+
+
 def test_few_groups_few_cores_or_little_memory_start_no_process(enough, monkeypatch):
     monkeypatch.setattr(compile_processes, "compile_threads", lambda: 8)
     assert number_of_processes(1, []) == 0
