@@ -67,7 +67,8 @@ DEEP_RL = "deep_rl.py"
 
 SHOWN = {tuple(words): None for page in PAGES for words in commands(page)}
 WITH_EXAMPLES = [list(words) for words in SHOWN if _uses_example(list(words))]
-COMMANDS = [words for words in WITH_EXAMPLES if words[0] == "bojax"]
+COMMANDS = [words for words in WITH_EXAMPLES if words[0] == "bojax" and words[1] != "survey"]
+SURVEYS = [words for words in WITH_EXAMPLES if words[:2] == ["bojax", "survey"]]
 WIDE = [
     words for page in PAGES if (of := commands(page)).count(["export", "JAX_ENABLE_X64=1"]) for words in of
 ]
@@ -147,6 +148,15 @@ def test_a_command_of_the_pages_runs(words, folder):
     assert (folder / "out" / "report.html").exists()
     if (model := folder / f"{Path(words[2]).stem}.xml").exists():
         _render(folder / "out", model)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", SURVEYS, ids=[" ".join(words) for words in SURVEYS])
+def test_a_survey_of_the_pages_is_planned(words, folder):
+    assert main([*words[1:], "--out", "out"]) == 0
+    robots = int(words[words.index("--robots") + 1]) if "--robots" in words else 1
+    assert len(list((folder / "out").glob("waypoints*.csv"))) == robots
+    assert (folder / "out" / "report.html").exists()
 
 
 def _render(folder, model) -> None:
