@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float, Key, Scalar
 
 from bojax.motions.base import Path, Pose, place
 from bojax.numerics.angles import wrap_to_2pi
-from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
+from bojax.problems.walls import ROUNDING, Boxes, Drive, drive_until_blocked, is_free
+from bojax.problems.ways_to_end import WaysToEnd
 
 START_TRIES = 256  # number of random poses that a random start is searched in: the first free one
 
@@ -24,6 +25,7 @@ class Arena(eqx.Module):
     collision_reward: Float[Array, ""]
     exit_reward: Float[Array, ""]
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
+    ways: WaysToEnd | None = None
 
     @property
     def border(self) -> Float[Array, "4"]:
@@ -56,9 +58,21 @@ class Arena(eqx.Module):
     def drive_within(
         self, pose: Pose, path: Path, left: Float[Array, ""] | None
     ) -> tuple[Drive, Float[Array, ""] | None]:
-        """The same within a distance, and what is left of it; None for any distance."""
+        """The same within a distance, and what is left of it; None for any distance.
+
+        With an end point, a robot that has just the distance to it left drives the shortest way there, at
+        most as far as the path is long, whatever the path.
+        """
         drive = self.drive(pose, path)
-        return (drive, None) if left is None else drive.within(pose, left)
+        if left is None:
+            return drive, None
+        if self.ways is None:
+            return drive.within(pose, left)
+        to_end = self.ways.distance(jnp.concatenate([pose[None], drive.poses])[:, :2])
+        # A path that has been cut leaves exactly the distance to the end: no further state is needed.
+        returns = left <= to_end[0] * (1.0 + ROUNDING) + ROUNDING
+        both = self.ways.drive(pose, path), drive.within(pose, left, to_end)
+        return jax.tree.map(lambda way, other: jnp.where(returns, way, other), *both)
 
     @eqx.filter_jit  # traced and lowered once where a program drives several times
     def end(self, driven: Drive) -> Pose:

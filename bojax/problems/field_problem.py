@@ -29,6 +29,7 @@ from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.sensors import PointSensor, Sensor
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 from bojax.problems.walls import Boxes
+from bojax.problems.ways_to_end import WaysToEnd
 from bojax.results.schema import Column, Table
 
 FILM_RESOLUTION = 31
@@ -87,8 +88,10 @@ class FieldProblem(PathProblem):
     the pose of the robot, but not the field. A wall or the border stops the robot at the last reachable pose
     of the path; later samples are neither taken nor rewarded. The robot then keeps its heading
     (`after_collision: "stop"`) or turns round on the spot (`"turn"`, not available to a vehicle with a
-    turning radius). With a budget of distance, the robot stops at the last pose that it allows, and the
-    episode ends. The same rules hold in the world and in the simulations of every planner.
+    turning radius). With a budget of distance, or of time at a speed, the robot stops at the last pose that
+    it allows, and the episode ends. With an end point, it stops at the last pose from which the budget
+    suffices to reach this point, drives the shortest way there, and the episode ends there. The same rules
+    hold in the world and in the simulations of every planner.
     """
 
     field: Field
@@ -107,6 +110,9 @@ class FieldProblem(PathProblem):
     margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()), kw_only=True)
     relearn_spread: Float[Array, ""]
     budget: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
+    time_budget: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
+    speed: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
+    end: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
     sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
     max_steps: int = eqx.field(static=True)
@@ -128,6 +134,11 @@ class FieldProblem(PathProblem):
                 f'after_collision: got "turn"; the vehicle cannot turn on the spot, its turning radius is '
                 f'{radius:.2f} m: set "stop"'
             )
+        if radius > 0.0 and self.end is not None:
+            raise ValueError(
+                "end: the vehicle cannot turn on the spot, and so not follow the shortest way there; allowed "
+                "with a turning radius: null"
+            )
 
     @abc.abstractmethod
     @override
@@ -137,11 +148,15 @@ class FieldProblem(PathProblem):
     @property
     def measures_distance(self) -> bool:
         """Whether `steps.parquet` has the distance driven."""
-        return self.errors_by_step or self.budget is not None
+        return self.errors_by_step or self._budget is not None
 
     @property
     def _budget(self) -> Float[Array, ""] | None:
-        return None if self.budget is None else self.budget.astype(self.domain.dtype)
+        """The distance that may be driven, m."""
+        budget = self.budget
+        if self.time_budget is not None and self.speed is not None:
+            budget = self.time_budget * self.speed
+        return None if budget is None else budget.astype(self.domain.dtype)
 
     @property
     @override
@@ -172,6 +187,7 @@ class FieldProblem(PathProblem):
             collision_reward=self.collision_reward,
             exit_reward=self.exit_reward,
             after_collision=self.after_collision,
+            ways=None if self.end is None else WaysToEnd.straight(self.end.astype(self.domain.dtype)),
         )
 
     @override
@@ -218,10 +234,12 @@ class FieldProblem(PathProblem):
             distance=None if world.distance is None else world.distance + driven.length_from(start),
             left=left,
         )
+        terminated = jnp.zeros((), bool) if left is None else left <= 0.0
+        has_goal = self.end is None or self.target_area is not None
         events = PathEvents(
             reward=arena.cost(driven),
-            terminated=jnp.zeros((), bool) if left is None else left <= 0.0,
-            success=arena.reaches_target(driven),
+            terminated=terminated,
+            success=arena.reaches_target(driven) if has_goal else terminated,
             exited=driven.exited,
             driven=tracked.poses,
             is_driven=driven.is_driven,

@@ -1,6 +1,6 @@
 """Settings of planning problems, their objectives and their sensors."""
 
-from math import pi
+from math import dist, pi
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bojax.config.component import Component, Slot
 from bojax.config.limits import CELLS, square
-from bojax.fields.settings import Blocks, Box, Bumps, Step, proper_box
+from bojax.fields.settings import Blocks, Box, Bumps, Pair, Step, proper_box
 from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
@@ -254,6 +254,15 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="distance after which an episode ends, m; `null`: it ends after `max_steps`. The robot "
         "stops at the last pose of a path that it allows, in simulations too",
     )
+    time_budget: float | None = Field(
+        default=None, gt=0, description="time after which an episode ends instead, s; needs `speed`"
+    )
+    speed: float | None = Field(default=None, gt=0, description="constant speed of the robot, m/s")
+    end: Annotated[Pair | None, Field(strict=False)] = Field(
+        default=None,
+        description="point at which an episode with a budget ends, [x, y], m. Paths stop at the last pose "
+        "from which it can be reached; then the robot drives the shortest way there, and measures on it",
+    )
     max_steps: _MaxSteps = 25
     resolution: _Resolution = 31
     errors_by_step: bool = Field(
@@ -308,16 +317,61 @@ class FieldProblem(ProblemSettings, frozen=True):
 
     @pydantic.model_validator(mode="after")
     def _free_start(self) -> "FieldProblem":
-        if self.start is None:
+        if self.start is not None:
+            self._check_free("start", *self.start[:2])
+        if self.end is not None:
+            self._check_free("end", *self.end)
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _one_budget(self) -> "FieldProblem":
+        if self.budget is not None and self.time_budget is not None:
+            raise ValueError("time_budget: not with budget; allowed: one of the two")
+        if (self.time_budget is None) != (self.speed is None):
+            lacks = "speed" if self.speed is None else "time_budget"
+            raise ValueError(f"{lacks}: got null; allowed: a number, since time_budget and speed go together")
+        if self.end is not None and self.distance_budget is None:
+            raise ValueError("end: needs a budget, or time_budget and speed")
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _end_in_reach(self) -> "FieldProblem":
+        budget = self.distance_budget
+        if self.end is None or budget is None:
             return self
-        x, y, _ = self.start
+        x_min, y_min, x_max, y_max = self.domain
+        corners = ((x_min, y_min), (x_min, y_max), (x_max, y_min), (x_max, y_max))
+        starts = corners if self.start is None else (self.start[:2],)
+        least = max(dist(self.end, start) for start in starts)
+        if budget < least * (1.0 - 1e-9):
+            raise ValueError(self.short_budget(least))
+        return self
+
+    def _check_free(self, name: str, x: float, y: float) -> None:
+        """Refuse a point outside the domain or inside a wall, or raise ValueError."""
         low_x, low_y, high_x, high_y = self.domain
         if not (low_x <= x <= high_x and low_y <= y <= high_y):
-            raise ValueError(f"start: ({x:g}, {y:g}) lies outside the domain")
+            raise ValueError(f"{name}: ({x:g}, {y:g}) lies outside the domain")
         for number, wall in enumerate(self.walls or ()):
             if wall[0] <= x <= wall[2] and wall[1] <= y <= wall[3]:
-                raise ValueError(f"start: ({x:g}, {y:g}) lies inside walls[{number}]")
-        return self
+                raise ValueError(f"{name}: ({x:g}, {y:g}) lies inside walls[{number}]")
+
+    @property
+    def distance_budget(self) -> float | None:
+        """The distance that may be driven, m; None without a budget."""
+        if self.time_budget is None or self.speed is None:
+            return self.budget
+        return self.time_budget * self.speed
+
+    def short_budget(self, least: float) -> str:
+        """The message for a budget below the distance from the start to the end point, m."""
+        name, factor, unit = ("budget", 1.0, "m") if self.speed is None else ("time_budget", self.speed, "s")
+        start = "the start" if self.start is not None else "any start"
+        got = (self.distance_budget or 0.0) / factor
+        return (
+            f"{name}: got {got:g}; allowed: >= {least / factor:.4g} {unit}, to get from {start} to the end "
+            "point"
+        )
 
     @property
     @override
@@ -333,7 +387,7 @@ class FieldProblem(ProblemSettings, frozen=True):
     @property
     @override
     def has_success(self) -> bool:
-        return self.target_area is not None
+        return self.target_area is not None or self.end is not None
 
     @property
     @override

@@ -36,21 +36,34 @@ class Drive(eqx.Module):
         points = jnp.concatenate([start[None, :2], self.poses[:, :2]])
         return jnp.sqrt(jnp.sum(jnp.diff(points, axis=0) ** 2, axis=-1))
 
-    def within(self, start: Float[Array, "3"], left: Float[Array, ""]) -> tuple["Drive", Float[Array, ""]]:
+    def within(
+        self, start: Float[Array, "3"], left: Float[Array, ""], to_end: Float[Array, "T"] | None = None
+    ) -> tuple["Drive", Float[Array, ""]]:
         """The part of the drive of at most `left` metres from its start, and the distance left after it.
 
         Where the distance does not suffice, the robot stops at the last pose that it reaches, and none is
-        left: what remains does not reach any further pose.
+        left: what remains does not reach any further pose. If the mission must end at a point, it stops at
+        the last pose from which the point is reached, and the distance to it is left; `to_end` is that from
+        the start and from each pose, m.
         """
         driven = jnp.cumsum(self._lengths(start))
         # Rounding of the sums does not leave out a pose that lies exactly at the end.
-        reaches = self.is_driven & (driven <= left * (1.0 + ROUNDING) + ROUNDING)
+        limit = left * (1.0 + ROUNDING) + ROUNDING
+        if to_end is None:
+            reaches = self.is_driven & (driven <= limit)
+        else:
+            reaches = jnp.cumsum(~(self.is_driven & (driven + to_end[1:] <= limit))) == 0
         is_cut = jnp.sum(reaches) < jnp.sum(self.is_driven)
         number = jnp.sum(reaches).astype(jnp.int32)
         index = jnp.arange(1, len(self.poses) + 1, dtype=jnp.int32)
         poses = jnp.concatenate([start[None], self.poses])[jnp.minimum(index, number)]
         rest = jnp.maximum(left - jnp.max(jnp.where(reaches, driven, 0.0)), 0.0)
-        rest = jnp.where(is_cut | (rest <= left * ROUNDING + ROUNDING), 0.0, rest)
+        is_used = rest <= left * ROUNDING + ROUNDING
+        if to_end is None:
+            rest = jnp.where(is_cut | is_used, 0.0, rest)
+        else:
+            rest = jnp.where(is_cut, to_end[number], jnp.where(is_used, 0.0, rest))
+            rest = jnp.where(rest <= ROUNDING, 0.0, rest)
         # A wall behind the end of the budget stops nobody.
         return Drive(poses, reaches, self.collided & ~is_cut, self.exited & ~is_cut), rest
 

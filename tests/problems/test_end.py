@@ -1,0 +1,136 @@
+"""A mission with an end point: it is reached within the budget, and planners know the way there."""
+
+import dataclasses
+import re
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from bojax.cli.main import main
+from bojax.motions.polylines import points_along
+from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
+from tests.problems.test_monitoring import SIZE, drives
+
+BUDGET, END = 2.4, np.array([0.4, 0.4])
+HOMING = monitoring(walls=None, target_area=None, budget=f64(BUDGET), end=f64(END))
+
+
+def reference_drive(start, poses, is_driven, left):
+    """Positions driven, and what is left: as far as the end can be reached, else straight to the end."""
+    to_end = np.linalg.norm(END - start[:2])
+    if left <= to_end + 1e-9:
+        ways, step = [], 1.0 / SIZE
+        for index in range(SIZE):
+            way = step * (index + 1)
+            ways.append(to_end if way >= to_end - step / 2 else way)
+            if ways[-1] == to_end:
+                break
+        points = start[:2] + np.array(ways)[:, None] / to_end * (END - start[:2])
+        return points, to_end - ways[-1]
+    at, points = start[:2], []
+    for pose, driven in zip(poses, is_driven, strict=True):
+        if not driven:
+            break
+        gap = np.linalg.norm(pose[:2] - at)
+        if gap + np.linalg.norm(END - pose[:2]) > left + 1e-9:
+            return np.array(points).reshape(-1, 2), np.linalg.norm(END - at)
+        at, left = pose[:2], left - gap
+        points.append(at)
+    return np.array(points).reshape(-1, 2), left
+
+
+@pytest.mark.parametrize("spare", [0.0, 0.15, 0.6, 3.0])
+def test_a_drive_is_cut_where_the_end_is_just_in_reach(spare):
+    starts, paths = drives(100, seed=5)
+    arena = HOMING.arena
+    cut = jax.jit(
+        lambda start, path, left: (arena.drive(start, path), *arena.drive_within(start, path, left))
+    )
+    for start, path in zip(starts, paths, strict=True):
+        left = np.linalg.norm(END - start[:2]) + spare
+        whole, part, rest = jax.tree.map(np.asarray, cut(f64(start), f64(path), f64(left)))
+        points, expected = reference_drive(start, whole.poses, whole.is_driven, left)
+        np.testing.assert_array_equal(part.is_driven, np.arange(SIZE) < len(points))
+        np.testing.assert_allclose(part.poses[: len(points), :2], points, atol=1e-9)
+        np.testing.assert_allclose(rest, expected, atol=1e-8)
+
+
+def test_simulations_and_the_world_end_at_the_point():
+    pose = (1.5, 1.2, 0.3)
+    world = dataclasses.replace(HOMING, start=f64(pose), noise=f64(0.0)).reset(jax.random.key(0))
+    belief = field_belief(HOMING, pose, 5)
+    _, paths = drives(4, seed=2)
+    root, node = HOMING.root(belief, 4)
+    found = jax.jit(lambda key, node: HOMING.simulate(key, root, node, f64(paths), OBJECTIVES["value"]))(
+        jax.random.key(1), node
+    )
+    execute, terminated, driven = jax.jit(type(HOMING).execute), [], 0.0
+    at = np.array(pose[:2])
+    for index, path in enumerate(paths):
+        world, samples, events = execute(HOMING, jax.random.key(2), world, f64(path))
+        for point in np.asarray(events.driven)[np.asarray(events.is_driven), :2]:
+            driven, at = driven + np.linalg.norm(point - at), point
+        terminated.append(bool(events.terminated))
+        assert bool(events.success) == terminated[-1]
+        if index == 0:
+            np.testing.assert_allclose(found.node.left, world.left, atol=1e-9)
+    assert terminated == found.terminated.tolist() and terminated[-1] and not terminated[0]
+    np.testing.assert_allclose(at, END, atol=1e-9)
+    assert driven <= BUDGET + 1e-9
+
+
+def test_points_along_a_polyline_include_its_corners():
+    corners = np.array([[0.0, 0.0], [1.05, 0.0], [1.05, 0.9], [1.05, 0.9]])
+    points, moved = points_along(f64(corners), f64([0.5, 1.0, 1.5, 2.0, 2.5]), f64(0.5))
+    np.testing.assert_allclose(moved, [0.5, 1.05, 1.5, 1.95, 1.95])
+    np.testing.assert_allclose(points, [[0.5, 0.0], [1.05, 0.0], [1.05, 0.45], [1.05, 0.9], [1.05, 0.9]])
+
+
+@pytest.mark.parametrize("budget", ["budget: 4.3", "time_budget: 8.6, speed: 0.5"])
+def test_runs_end_at_the_point_within_the_budget(tmp_path, budget):
+    config = tmp_path / "survey.yaml"
+    config.write_text(
+        f"experiment: planning\nproblem: {{kind: monitoring, {budget}, end: [1, 2], start: [3, 3, 0], "
+        "resolution: 9, max_steps: 30}\nplanner: {kind: random}\nruns: 3\n"
+    )
+    out = tmp_path / "out"
+    assert main(["run", str(config), "--out", str(out)]) == 0
+    runs, steps = (pq.read_table(out / f"{name}.parquet").to_pydict() for name in ("runs", "steps"))
+    assert runs["success"] == [True] * 3
+    last = [index for index, done in enumerate(steps["done"]) if done]
+    np.testing.assert_allclose([(steps["x"][index], steps["y"][index]) for index in last], [[1, 2]] * 3)
+    distances = np.array([steps["distance"][index] for index in last])
+    assert np.all(distances <= 4.3 + 1e-9) and np.all(distances > 3.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ("end=[1,1]", "end: needs a budget, or time_budget and speed"),
+        ("budget=9 end=[7,1]", "end: \\(7, 1\\) lies outside the domain"),
+        ("budget=9 end=[4,1] walls=[[3.5,0.5,5,2]]", "end: \\(4, 1\\) lies inside walls\\[0\\]"),
+        ("budget=1 end=[4,5] start=[1,1,0]", "budget: got 1; allowed: >= 5 m, to get from the start"),
+        ("time_budget=1 speed=2 end=[4,5] start=[1,1,0]", "time_budget: got 1; allowed: >= 2.5 s"),
+        ("budget=7 end=[0,0] start=null", "budget: got 7; allowed: >= 8.485 m, to get from any start"),
+        ("time_budget=5", "speed: got null; allowed: a number, since time_budget and speed go together"),
+        ("speed=1", "time_budget: got null; allowed: a number"),
+        ("time_budget=5 speed=0", "speed: got 0; allowed: > 0"),
+        ("budget=5 time_budget=5 speed=1", "time_budget: not with budget; allowed: one of the two"),
+        ("budget=9 end=[1,1] vehicle=wheeled-robot after_collision=stop", "end: the vehicle cannot turn"),
+    ],
+)
+def test_wrong_budgets_and_ends_are_refused_in_one_line(tmp_path, settings, message, capsys):
+    words = [f"problem.{each}" for each in settings.split()]
+    if "walls" not in settings:
+        words.append("problem.walls=null")
+    if "wheeled" in settings:
+        words += ["planner.motions.first_angle=0.3", "planner.motions.turn_angle=0.3"]
+    out = tmp_path / "out"
+    assert main(["run", "space-modelling", *words, "--runs", "1", "--out", str(out)]) == 2
+    printed = capsys.readouterr().err
+
+    assert re.search(message, printed) and len(printed.strip().splitlines()) == 1 and not out.exists(), (
+        printed
+    )
