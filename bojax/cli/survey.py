@@ -14,8 +14,8 @@ from bojax.text import one_line
 if TYPE_CHECKING:
     import numpy as np
 
+    from bojax.areas.place import Place
     from bojax.surveys.goals import Goal
-    from bojax.surveys.place import Place
 
 _EXAMPLES = """\
   bojax survey bay.geojson --budget 2km                     an optimised route, or the best lawnmower
@@ -53,9 +53,9 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
 
     with kept():
         prepare("auto")
+        from bojax.areas.place import read_place
         from bojax.surveys.folder import write_survey
         from bojax.surveys.model import assumed_model, learned_model
-        from bojax.surveys.place import read_place
         from bojax.surveys.planning import Demand, plan_survey
         from bojax.surveys.team import keep_separation
 

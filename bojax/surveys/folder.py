@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from bojax import __version__
+from bojax.areas.place import Place
+from bojax.areas.shapes import rings_of, to_shape
 from bojax.results.store import make_folder, write_arrays, write_json
 from bojax.surveys.model import FieldModel
-from bojax.surveys.place import Place
 from bojax.surveys.planning import Candidate, Demand, Survey
-from bojax.surveys.shapes import rings_of, to_shape
 from bojax.surveys.simulated import write_simulation
 from bojax.surveys.team import least_distance
 from bojax.surveys.waypoints import write_waypoints

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 if TYPE_CHECKING:
-    from bojax.surveys.area import Area
+    from bojax.areas.area import Area
 
 HIGHEST = 0.1
 """Share of the area that hot spots are expected to cover."""

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from bojax.surveys.area import Area
+from bojax.areas.area import Area
+from bojax.areas.shapes import polygons_of, rings_of, shapely_module, to_shape
+from bojax.areas.transfers import Transfers, Ways
 from bojax.surveys.polylines import driven_at, length_of
-from bojax.surveys.shapes import polygons_of, rings_of, shapely_module, to_shape
-from bojax.surveys.transfers import Transfers, Ways
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

@@ -9,11 +9,11 @@ from typing import Any
 import jax
 import numpy as np
 
+from bojax.areas.area import Area
 from bojax.config.extras import MissingExtra
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.results.store import write_arrays
-from bojax.surveys.area import Area
 from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.planning import Demand, lawnmower_guesses

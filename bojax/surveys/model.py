@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bojax.areas.place import MOST_CELLS, Place
 from bojax.fields.data import read_points
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
@@ -15,7 +16,6 @@ from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.models.means import ConstantMean
-from bojax.surveys.place import MOST_CELLS, Place
 
 MOST_POINTS = 200
 """Points of an earlier survey that the model is learned from."""

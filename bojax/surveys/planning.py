@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import jax.numpy as jnp
 import numpy as np
 
+from bojax.areas.area import Area
+from bojax.areas.shapes import shapely_module, to_shape
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.surveys.area import Area
 from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
 from bojax.surveys.lawnmower import DIRECTIONS, Ground, check_budget
 from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import NUM_GRID, RouteOptions, counted_points, plan_routes
-from bojax.surveys.shapes import shapely_module, to_shape
 from bojax.surveys.team import keep_separation, team_lawnmowers
 
 GRID_POINTS = 1500

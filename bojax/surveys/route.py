@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from bojax.areas.area import Area
+from bojax.areas.distance_grid import DistanceGrid
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.quasirandom import generalised_golden_ratio
-from bojax.surveys.area import Area
 from bojax.surveys.descent import Ends, Limits, Models, descend
 from bojax.surveys.guesses import parallel_lines, tour
 from bojax.surveys.polylines import Waypoints, driven_at, length_of, points_along, with_waypoints
@@ -190,7 +191,7 @@ def plan_routes(
         Ends(*(None if at is None else jnp.asarray(at, dtype) for at in pair))
         for pair in zip(starts, ends, strict=True)
     ]
-    distance = jax.tree.map(lambda leaf: leaf.astype(dtype), area.distance_grid(size / 200))
+    distance = jax.tree.map(lambda leaf: leaf.astype(dtype), DistanceGrid.of(area, size / 200))
     limits = (size / 200, options.turning_radius, separation)
     limits = Limits(distance, *(jnp.asarray(x, dtype) for x in limits))
     first = np.stack(

@@ -10,16 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
+from bojax.areas.area import Area
+from bojax.areas.shapes import to_area
+from bojax.areas.transfers import Ways
 from bojax.config.extras import MissingExtra
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.surveys.area import Area
 from bojax.surveys.goals import Goal
 from bojax.surveys.guesses import tour
 from bojax.surveys.lawnmower import Ground, cut, joined
 from bojax.surveys.polylines import Waypoints, length_of, points_along
 from bojax.surveys.route import NUM_SCORED, Route, spread_points, stays_inside
-from bojax.surveys.shapes import to_area
-from bojax.surveys.transfers import Ways
 
 NUM_SAMPLES = 40
 """Samples of a route while it is compared; each stands for several measurements, or for a part of one."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from bojax.areas.place import Place
 from bojax.config.yaml_file import dump
 from bojax.results.store import write_content
 from bojax.surveys.model import FieldModel
-from bojax.surveys.place import Place
 from bojax.surveys.planning import Demand, Survey
 
 CONFIG, FIELD = "simulation.yaml", "field.csv"

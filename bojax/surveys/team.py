@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bojax.areas.shapes import shapely_module
 from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within
 from bojax.surveys.polylines import Waypoints, length_of, points_along
-from bojax.surveys.shapes import shapely_module
 
 MOST_ROBOTS = 4
 """Largest number of robots that are planned together."""

@@ -7,9 +7,9 @@ import pytest
 
 shapely = pytest.importorskip("shapely")
 
-from bojax.surveys.area import Area  # noqa: E402
+from bojax.areas.area import Area  # noqa: E402
+from bojax.areas.shapes import to_shape  # noqa: E402
 from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within, length_of  # noqa: E402
-from bojax.surveys.shapes import to_shape  # noqa: E402
 
 HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
 SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)

@@ -8,7 +8,7 @@ import jax.monitoring
 import numpy as np
 import pytest
 
-from bojax.surveys.area import Area
+from bojax.areas.area import Area
 from bojax.surveys.mission import Mission
 from bojax.surveys.polylines import length_of, points_along, rest_of
 from bojax.surveys.route import RouteOptions, fitted, stays_inside

@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("shapely")
 
+from bojax.areas.place import read_place  # noqa: E402
 from bojax.surveys.model import assumed_model, learned_model  # noqa: E402
-from bojax.surveys.place import read_place  # noqa: E402
 
 
 def test_hyper_parameters_of_a_sampled_field_are_recovered(tmp_path):

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bojax.areas.area import Area
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
-from bojax.surveys.area import Area
 from bojax.surveys.descent import Ends, within_budget
 from bojax.surveys.guesses import parallel_lines
 from bojax.surveys.information import expected_error

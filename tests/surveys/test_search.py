@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from bojax.areas.area import Area
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
-from bojax.surveys.area import Area
 from bojax.surveys.goals import Goal
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import stays_inside

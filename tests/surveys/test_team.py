@@ -7,9 +7,9 @@ shapely = pytest.importorskip("shapely")
 
 import jax.numpy as jnp  # noqa: E402
 
+from bojax.areas.area import Area  # noqa: E402
 from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
 from bojax.models.kernels import Matern52, Scaled  # noqa: E402
-from bojax.surveys.area import Area  # noqa: E402
 from bojax.surveys.information import expected_error, samples_along, samples_of_all  # noqa: E402
 from bojax.surveys.lawnmower import Ground  # noqa: E402
 from bojax.surveys.polylines import length_of  # noqa: E402

@@ -18,9 +18,9 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
 
-from bojax.surveys.area import Area
+from bojax.areas.area import Area
+from bojax.areas.place import area_of_cells
 from bojax.surveys.model import FieldModel
-from bojax.surveys.place import area_of_cells
 
 SIDE = 10.0
 VARIANCE, LENGTHSCALE, NOISE_VARIANCE = 0.807, 1.160, 0.0089

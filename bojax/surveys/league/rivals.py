@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.surveys.area import Area
+from bojax.areas.area import Area
 from bojax.surveys.information import PointErrors
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import fitted, stays_inside

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from bojax.surveys.area import Area
+from bojax.areas.area import Area
+from bojax.areas.shapes import to_area
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import Ground
 from bojax.surveys.league.fields import LENGTHSCALE, MODEL, NOISE_VARIANCE, SQUARE, VARIANCE, Field
@@ -23,7 +24,6 @@ from bojax.surveys.mission import Mission
 from bojax.surveys.planning import Demand, plan_survey
 from bojax.surveys.polylines import Waypoints, length_of, points_along
 from bojax.surveys.route import fitted, spread_points
-from bojax.surveys.shapes import to_area
 
 SPACING, NOISE = 0.2, 0.05
 """Distance between two measurements, and the standard deviation of their noise."""

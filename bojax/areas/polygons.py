@@ -8,9 +8,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from bojax.areas.shapes import shapely_module
 from bojax.config.limits import TEXT, read_within
 from bojax.fields.raster import DEGREES
-from bojax.surveys.shapes import shapely_module
 from bojax.text import one_line
 
 if TYPE_CHECKING:

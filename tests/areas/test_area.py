@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.surveys.area import Area
-from bojax.surveys.shapes import to_shape
+from bojax.areas.area import Area
+from bojax.areas.distance_grid import DistanceGrid
+from bojax.areas.shapes import to_shape
 
 HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
 L_SHAPE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [3.0, 3.0], [3.0, 8.0], [0.0, 8.0]])
@@ -51,7 +52,7 @@ def test_distances_agree_with_shapely(area: Area) -> None:
 
 
 def test_a_distance_grid_interpolates_and_its_gradient_points_inside() -> None:
-    grid = RING.distance_grid(0.1)
+    grid = DistanceGrid.of(RING, 0.1)
     points = np.random.default_rng(2).uniform(0.0, 10.0, (400, 2))
     np.testing.assert_allclose(grid(jnp.asarray(points)), RING.distances(points), atol=0.08)
     far = jnp.asarray([30.0, 5.0])

@@ -8,8 +8,8 @@ import pytest
 pytest.importorskip("shapely")
 pyproj = pytest.importorskip("pyproj")
 
+from bojax.areas.place import read_place  # noqa: E402
 from bojax.fields.raster import DEGREES  # noqa: E402
-from bojax.surveys.place import read_place  # noqa: E402
 from tests.fields.test_raster_files import ASCII, write_tif  # noqa: E402
 
 OUTER = [[10.0, 54.0], [10.02, 54.0], [10.02, 54.01], [10.0, 54.01], [10.0, 54.0]]

@@ -3,67 +3,13 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 Ring = np.ndarray
 """Corners of a closed line, `[P, 2]` in metres; the last corner is joined to the first."""
 
 PAIRS = 4_000_000  # of a point and an edge that are held in memory at once
 LARGEST_GRID = 4_000_000  # cells of a grid
-
-
-class DistanceGrid(eqx.Module):
-    """Signed distance to the border of an area on a regular grid, m; negative outside.
-
-    It costs the same for every outline: four values are read at each point.
-
-    Attributes:
-        values: Distances at the grid points; the first axis is y, the second x, both increasing.
-        origin: Position of `values[0, 0]`, m.
-        spacing: Distance between two grid points, m.
-    """
-
-    values: Float[Array, "H W"]
-    origin: Float[Array, "2"]
-    spacing: Float[Array, ""]
-
-    def __call__(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
-        """Distance at points, interpolated bilinearly; differentiable.
-
-        Beyond the grid, the distance to the grid is subtracted from the value on its edge.
-        """
-        height, width = self.values.shape
-        x = (points[..., 0] - self.origin[0]) / self.spacing
-        y = (points[..., 1] - self.origin[1]) / self.spacing
-        column, x_share, x_beyond = _cell(x, width)
-        row, y_share, y_beyond = _cell(y, height)
-        lower = _blend(self.values[row, column], self.values[row, column + 1], x_share)
-        upper = _blend(self.values[row + 1, column], self.values[row + 1, column + 1], x_share)
-        return _blend(lower, upper, y_share) - self.spacing * _length(x_beyond, y_beyond)
-
-
-def _cell(
-    x: Float[Array, "*N"], size: int
-) -> tuple[Int[Array, "*N"], Float[Array, "*N"], Float[Array, "*N"]]:
-    """The cell of a coordinate, the position in it from 0 to 1, and the distance beyond the grid."""
-    inside = jnp.clip(x, 0.0, size - 1.0)
-    cell = jnp.minimum(jnp.floor(inside), size - 2.0)
-    return cell.astype(jnp.int32), inside - cell, x - inside
-
-
-def _blend(
-    first: Float[Array, "*N"], second: Float[Array, "*N"], share: Float[Array, "*N"]
-) -> Float[Array, "*N"]:
-    return (1.0 - share) * first + share * second
-
-
-def _length(x: Float[Array, "*N"], y: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    squared = x**2 + y**2
-    is_zero = squared == 0.0  # where a root has an infinite gradient
-    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +74,10 @@ class Area:
             distance = np.minimum(distance, -_signed_distance(zone, points))
         return distance
 
-    def distance_grid(self, spacing: float) -> DistanceGrid:
-        """The signed distance on a grid that extends beyond the outline by two cells.
+    def distance_table(self, spacing: float) -> tuple[np.ndarray, tuple[float, float]]:
+        """Signed distances `[H, W]` on a grid, by y and x, and the position of the first, m.
+
+        The grid extends beyond the outline by two cells.
 
         Raises:
             ValueError: The grid would have too many points.
@@ -139,11 +87,8 @@ class Area:
             _axis(x_min - 2 * spacing, x_max + 2 * spacing, spacing),
             _axis(y_min - 2 * spacing, y_max + 2 * spacing, spacing),
         )
-        points = _mesh(columns, rows)
-        values = self.distances(points).reshape(len(rows), len(columns))
-        return DistanceGrid(
-            jnp.asarray(values), jnp.asarray([columns[0], rows[0]]), jnp.asarray(float(spacing))
-        )
+        values = self.distances(_mesh(columns, rows)).reshape(len(rows), len(columns))
+        return values, (float(columns[0]), float(rows[0]))
 
     def grid(self, spacing: float) -> np.ndarray:
         """Centres `[M, 2]` of the cells of a square grid that are in the area, m.

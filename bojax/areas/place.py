@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bojax.areas import polygons
+from bojax.areas.area import Area
+from bojax.areas.shapes import shapely_module, to_area, to_shape
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
 from bojax.fields.raster_files import SUFFIXES as RASTERS
 from bojax.fields.raster_files import read_raster
-from bojax.surveys import polygons
-from bojax.surveys.area import Area
-from bojax.surveys.shapes import shapely_module, to_area, to_shape
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

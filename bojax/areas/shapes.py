@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bojax.areas.area import Area, Ring
 from bojax.config.extras import MissingExtra
-from bojax.surveys.area import Area, Ring
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
-from bojax.surveys.shapes import rings_of, shapely_module
+from bojax.areas.shapes import rings_of, shapely_module
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
