@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from bojax.areas.shapes import shapely_module, to_area, to_shape
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
 from bojax.fields.raster_files import SUFFIXES as RASTERS
-from bojax.fields.raster_files import read_raster
+from bojax.fields.raster_files import frame_of, read_raster
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -113,12 +114,13 @@ class Place:
             raise ValueError(_after(file, error)) from error
 
 
-def read_place(area: str, below: float | None = None) -> Place:
+def read_place(area: str, below: float | None = None, frame: Projection | None = None) -> Place:
     """The area that a text names: a file of polygons or of a raster, or a size such as `500x300`, in metres.
 
     Args:
         area: Name of the file, or the size.
         below: Of a raster, only cells with values below this number belong to the area.
+        frame: Frame to place it in; its own by default.
 
     Raises:
         ValueError: The file cannot be read, or has no area. The message is one line.
@@ -147,7 +149,8 @@ def read_place(area: str, below: float | None = None) -> Place:
             if raster.step > 1:
                 notes.append(f"{area}: only every {raster.step}th row and column is used.")
         x_min, y_min, x_max, y_max = shape.bounds
-        projection = Projection.of(crs, (x_min, y_min, x_max, y_max))
+        projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max))
+        local = _moved(shape, lambda points: projection.from_other(points, crs))
     except ValueError as error:
         raise ValueError(_after(area, error)) from error
     if projection.distortion > TOLERANCE:
@@ -155,7 +158,27 @@ def read_place(area: str, below: float | None = None) -> Place:
             f"{area}: is so large that distances from west to east are off by up to "
             f"{100 * projection.distortion:.0f}% in its north and south."
         )
-    return Place(area, to_area(_moved(shape, projection.to_local)), projection, tuple(notes))
+    return Place(area, to_area(local), projection, tuple(notes))
+
+
+@lru_cache(maxsize=8)
+def read_outlined(
+    file: str, avoid: tuple[str, ...], below: float | None, frame: str | None, sha256: str | None
+) -> Place:
+    """The area in a file without no-go zones, in the frame of a field's file or its own.
+
+    It is kept, since settings are read several times before anything runs; with other `sha256` of its files
+    it is read again.
+
+    Raises:
+        ValueError: A file cannot be read, or holds no area. The message is one line.
+    """
+    if _SIZE.fullmatch(file):
+        raise ValueError(f"file: got {file}; allowed: a file of polygons, or a raster")
+    place = read_place(file, below, None if frame is None else frame_of(frame))
+    for zones in avoid:
+        place = place.without(zones)
+    return place
 
 
 def _after(file: str, error: ValueError) -> str:

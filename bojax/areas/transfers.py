@@ -55,7 +55,7 @@ class Transfers:
         """
         if self.are_clear(first[None], last[None])[0]:
             return np.stack([first, last])
-        corners, lengths = self._graph
+        corners, lengths = self.graph
         number = len(corners)
         ends = np.stack([first, last])
         whole = np.full((number + 2, number + 2), np.inf)
@@ -76,7 +76,7 @@ class Transfers:
         return np.concatenate([corners, ends])[nodes[::-1]]
 
     @cached_property
-    def _graph(self) -> tuple[np.ndarray, np.ndarray]:
+    def graph(self) -> tuple[np.ndarray, np.ndarray]:
         """The corners `[C, 2]` at which paths bend, and the lengths between those that see each other."""
         corners = self._bends()
         lengths = np.linalg.norm(corners[:, None] - corners[None], axis=2)

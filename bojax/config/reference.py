@@ -19,7 +19,7 @@ from bojax.config.sweep_file import Report, SweepFile
 _PAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "problems": (
         "Problems",
-        ("problem", "field", "objective", "sensor", "vehicle"),
+        ("problem", "area", "field", "objective", "sensor", "vehicle"),
     ),
     "planners": (
         "Planners",

@@ -111,3 +111,9 @@ def sha256_of(file: str) -> str:
     """The SHA-256 of a file's content."""
     with Path(file).open("rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def sha256_of_files(*files: str) -> str:
+    """The SHA-256 of the content of a file, or of those of several; `FILE:NAME` stands for its file."""
+    digests = [sha256_of(file if os.path.exists(file) else file.partition(":")[0]) for file in files]
+    return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()

@@ -62,6 +62,20 @@ def local_extent(raster: Raster) -> tuple[float, float, float, float]:
     return float(x_min), float(y_min), float(x_max), float(y_max)
 
 
+def frame_of(file: str) -> Projection:
+    """The frame in metres that the fields `grid` and `scattered` read a file in.
+
+    Raises:
+        ValueError: The file cannot be read.
+    """
+    try:
+        rows, names = read_points(file)
+    except ValueError:
+        raster = read_raster(file)
+        return Projection.of(raster.crs, raster.extent)
+    return _points_frame(rows, names)
+
+
 def read_local_points(file: str) -> "np.ndarray":
     """Rows of x, y and value in a file, in metres; longitudes and latitudes are projected.
 
@@ -69,11 +83,14 @@ def read_local_points(file: str) -> "np.ndarray":
         ValueError: The file cannot be read, or has no such columns. The message is one line.
     """
     rows, names = read_points(file)
-    if names and names[0].startswith("lon"):
-        (x_min, y_min), (x_max, y_max) = rows[:, :2].min(0), rows[:, :2].max(0)
-        extent = float(x_min), float(y_min), float(x_max), float(y_max)
-        rows[:, :2] = Projection.of(DEGREES, extent).to_local(rows[:, :2])
+    rows[:, :2] = _points_frame(rows, names).to_local(rows[:, :2])
     return rows
+
+
+def _points_frame(rows: "np.ndarray", names: list[str]) -> Projection:
+    (x_min, y_min), (x_max, y_max) = rows[:, :2].min(0), rows[:, :2].max(0)
+    extent = float(x_min), float(y_min), float(x_max), float(y_max)
+    return Projection.of(DEGREES if names and names[0].startswith("lon") else None, extent)
 
 
 def _has_variable(file: str) -> bool:

@@ -2,7 +2,6 @@
 
 import abc
 import math
-import os
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
@@ -11,7 +10,7 @@ from typing_extensions import override
 
 from bojax.config.component import RECORDED, Component
 from bojax.config.limits import CELLS, square
-from bojax.fields.data import sha256_of
+from bojax.fields.data import sha256_of_files
 from bojax.fields.raster_files import FORMATS, local_extent, read_local_points, read_raster
 from bojax.models.settings import GREATEST
 
@@ -133,7 +132,7 @@ class _Measured(FieldSettings, frozen=True):
         if info.context is RECORDED and self.sha256 is not None:
             return self
         extent = self._check()
-        digest = sha256_of(self.file.partition(":")[0] if not os.path.exists(self.file) else self.file)
+        digest = sha256_of_files(self.file)
         if self.extent is None:
             # The results record the extent, as drawings of them need it without the file.
             object.__setattr__(self, "extent", proper_box(extent))

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key, Scalar
 
+from bojax.areas.outlined import OutlinedArea
 from bojax.motions.base import Path, Pose, place
 from bojax.numerics.angles import wrap_to_2pi
-from bojax.problems.walls import ROUNDING, Boxes, Drive, drive_until_blocked, is_free
+from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
 from bojax.problems.ways_to_end import WaysToEnd
 
 START_TRIES = 256  # number of random poses that a random start is searched in: the first free one
@@ -26,6 +27,7 @@ class Arena(eqx.Module):
     exit_reward: Float[Array, ""]
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
     ways: WaysToEnd | None = None
+    area: OutlinedArea | None = None
 
     @property
     def border(self) -> Float[Array, "4"]:
@@ -45,32 +47,32 @@ class Arena(eqx.Module):
         return poses[jnp.argmax(self.is_free(poses[:, :2]))]
 
     def is_free(self, points: Float[Array, "N 2"]) -> Bool[Array, "N"]:
-        """Whether points lie in the domain and outside all walls."""
-        return is_free(points, self.domain, self.walls)
+        """Whether points lie in the domain, in the area, and outside all walls."""
+        return is_free(points, self.domain, self.walls, self.area)
 
     def drive(self, pose: Pose, path: Path) -> Drive:
         """The part of a path that can be driven from a pose."""
         # The start is the origin of the path's frame. Placed together with the path, it is elementwise
         # arithmetic; joined to the placed path, it would cost a kernel on a GPU.
         trajectory = place(jnp.pad(path, ((1, 0), (0, 0))), pose)
-        return drive_until_blocked(trajectory, self.border, self.walls)
+        return drive_until_blocked(trajectory, self.border, self.walls, self.area)
 
     def drive_within(
         self, pose: Pose, path: Path, left: Float[Array, ""] | None
     ) -> tuple[Drive, Float[Array, ""] | None]:
         """The same within a distance, and what is left of it; None for any distance.
 
-        With an end point, a robot that has just the distance to it left drives the shortest way there, at
-        most as far as the path is long, whatever the path.
+        With an end point, a robot with no more left than the way there drives it, at most as far as the path
+        is long, whatever the path.
         """
         drive = self.drive(pose, path)
         if left is None:
             return drive, None
         if self.ways is None:
             return drive.within(pose, left)
-        to_end = self.ways.distance(jnp.concatenate([pose[None], drive.poses])[:, :2])
-        # A path that has been cut leaves exactly the distance to the end: no further state is needed.
-        returns = left <= to_end[0] * (1.0 + ROUNDING) + ROUNDING
+        to_end = self.ways.reserve(jnp.concatenate([pose[None], drive.poses])[:, :2])
+        # A path that has been cut leaves exactly the reserve: no further state is needed.
+        returns = self.ways.must_return(pose[:2], left)
         both = self.ways.drive(pose, path), drive.within(pose, left, to_end)
         return jax.tree.map(lambda way, other: jnp.where(returns, way, other), *both)
 

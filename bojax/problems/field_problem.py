@@ -2,7 +2,7 @@
 
 import abc
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key, Scalar
 from typing_extensions import override
 
+from bojax.areas.outlined import OutlinedArea, check_sampling
 from bojax.fields.base import Field
 from bojax.models.checks import check_takes
 from bojax.models.evidence import log_normal_prior, relearn
@@ -18,7 +19,7 @@ from bojax.models.information import Places
 from bojax.models.kernels import Kernel
 from bojax.models.lookahead import LookaheadRoot
 from bojax.models.means import Mean
-from bojax.motions.base import Path, Pose
+from bojax.motions.base import Motions, Path, Pose
 from bojax.numerics.lanes import any_lane
 from bojax.problems.arena import Arena
 from bojax.problems.field_belief import FieldBelief, Samples
@@ -29,7 +30,8 @@ from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.sensors import PointSensor, Sensor
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 from bojax.problems.walls import Boxes
-from bojax.problems.ways_to_end import WaysToEnd
+from bojax.problems.ways_to_end import WaysToEnd, check_reach, ways_around
+from bojax.results.outline import Outline
 from bojax.results.schema import Column, Table
 
 FILM_RESOLUTION = 31
@@ -113,6 +115,8 @@ class FieldProblem(PathProblem):
     time_budget: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
     speed: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
     end: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
+    area: OutlinedArea | None = eqx.field(default=None, kw_only=True)
+    ways: WaysToEnd | None = eqx.field(default=None, kw_only=True)
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
     sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
     max_steps: int = eqx.field(static=True)
@@ -122,6 +126,12 @@ class FieldProblem(PathProblem):
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
     weighting: Weighting = eqx.field(static=True)
     errors_by_step: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    def __post_init__(self):
+        """Compute the ways to the end point, if obstacles are in the way and it is known."""
+        has_obstacles = self.walls is not None or self.area is not None
+        if self.end is not None and has_obstacles and self.ways is None:
+            self.ways = ways_around(self.end, self.domain, self.walls, self.area)
 
     def __check_init__(self):
         """Check that kernel, mean, sensor, field and vehicle fit together, or raise ValueError."""
@@ -139,6 +149,28 @@ class FieldProblem(PathProblem):
                 "end: the vehicle cannot turn on the spot, and so not follow the shortest way there; allowed "
                 "with a turning radius: null"
             )
+        if self.ways is not None:
+            check_reach(self.ways, self.start, self._budget, self.speed)
+
+    @override
+    def check_motions(self, motions: Motions) -> None:
+        super().check_motions(motions)
+        if self.area is not None:
+            check_sampling(self.area, float(motions.length) / motions.num_samples)
+
+    @override
+    def outline(self) -> Outline | None:
+        """The outline of an area; without one, the settings have it."""
+        if self.area is None:
+            return None
+        goals = [] if self.target_area is None else [self.target_area.tolist()]
+        return Outline(
+            border=self.domain.tolist(),
+            obstacles=[] if self.walls is None else self.walls.tolist(),
+            goals=goals,
+            start=None if self.start is None else self.start[:2].tolist(),
+            area=[ring.tolist() for ring in self.area.rings],
+        )
 
     @abc.abstractmethod
     @override
@@ -187,8 +219,16 @@ class FieldProblem(PathProblem):
             collision_reward=self.collision_reward,
             exit_reward=self.exit_reward,
             after_collision=self.after_collision,
-            ways=None if self.end is None else WaysToEnd.straight(self.end.astype(self.domain.dtype)),
+            ways=self._in_precision(WaysToEnd.straight(self.end) if self.ways is None else self.ways)
+            if self.end is not None
+            else None,
+            area=self._in_precision(self.area),
         )
+
+    def _in_precision(self, tree: Any) -> Any:
+        """A tree with its numbers in the precision of the domain."""
+        dtype = self.domain.dtype
+        return jax.tree.map(lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree)
 
     @override
     def reset(self, key: Key[Array, ""]) -> FieldWorld:

@@ -7,9 +7,11 @@ import pydantic
 from pydantic import Field
 from typing_extensions import override
 
-from bojax.config.component import Component, Slot
+from bojax.areas.settings import OutlinedArea
+from bojax.config.component import RECORDED, Component, Slot
 from bojax.config.limits import CELLS, square
-from bojax.fields.settings import Blocks, Box, Bumps, Pair, Step, proper_box
+from bojax.fields.raster_files import frame_of
+from bojax.fields.settings import Blocks, Box, Bumps, Grid, Pair, Scattered, Step, proper_box
 from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
@@ -234,6 +236,11 @@ class FieldProblem(ProblemSettings, frozen=True):
     domain: _Domain = (0.0, 0.0, 6.0, 6.0)
     margin: float = Field(default=0.0, ge=0, description="how far the robot may drive beyond the domain, m")
     walls: _Walls = None
+    area: Annotated[Component | None, Slot("area", optional=True)] = Field(
+        default=None,
+        description="area that the robot may drive in: its border stops paths as a wall does. The domain, if "
+        "not set, is the rectangle around it",
+    )
     start: _Start = None
     target_area: _TargetArea = None
     objective: _Task = Value()
@@ -303,6 +310,25 @@ class FieldProblem(ProblemSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
+    def _placed_area(self, info: pydantic.ValidationInfo) -> "FieldProblem":
+        if not isinstance(self.area, OutlinedArea) or info.context is RECORDED:
+            return self
+        place = self.area.place
+        is_placed = place.projection.crs is not None
+        if self.area.frame is None and is_placed and isinstance(self.field, Grid | Scattered):
+            # Results record the frame, as they do the extent of the field.
+            if frame_of(self.field.file).crs is not None:
+                object.__setattr__(self, "area", self.area.model_copy(update={"frame": self.field.file}))
+        if "domain" not in self.model_fields_set:
+            object.__setattr__(self, "domain", self._outlined.place.area.bounds)
+        return self
+
+    @property
+    def _outlined(self) -> OutlinedArea:
+        assert isinstance(self.area, OutlinedArea)
+        return self.area
+
+    @pydantic.model_validator(mode="after")
     def _target_in_domain(self) -> "FieldProblem":
         if self.target_area is not None:
             low_x, low_y, high_x, high_y = self.target_area
@@ -316,11 +342,14 @@ class FieldProblem(ProblemSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _free_start(self) -> "FieldProblem":
-        if self.start is not None:
-            self._check_free("start", *self.start[:2])
-        if self.end is not None:
-            self._check_free("end", *self.end)
+    def _free_start(self, info: pydantic.ValidationInfo) -> "FieldProblem":
+        ends = {"start": self.start, "end": self.end}
+        for name, point in ends.items():
+            if point is not None:
+                self._check_free(name, *point[:2])
+        if isinstance(self.area, OutlinedArea) and info.context is not RECORDED:
+            known = {name: point[:2] for name, point in ends.items() if point is not None}
+            self.area.check_inside(known)
         return self
 
     @pydantic.model_validator(mode="after")

@@ -6,6 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from bojax.areas.outlined import OutlinedArea
+
 Boxes = Float[Array, "W 4"]
 """Axis-parallel rectangles, `[x_min, y_min, x_max, y_max]` in metres."""
 
@@ -19,7 +21,7 @@ class Drive(eqx.Module):
     Attributes:
         poses: Poses of the path; past the pose at which the robot was stopped, that pose is repeated.
         is_driven: Whether the robot reached each pose of the path.
-        collided: Whether a wall stopped the robot.
+        collided: Whether a wall or the border of the area stopped the robot.
         exited: Whether the border stopped the robot.
     """
 
@@ -70,12 +72,16 @@ class Drive(eqx.Module):
 
 @eqx.filter_jit  # traced and lowered once where a program drives several times
 def drive_until_blocked(
-    trajectory: Float[Array, "T 3"], domain: Float[Array, "4"], walls: Boxes | None
+    trajectory: Float[Array, "T 3"],
+    domain: Float[Array, "4"],
+    walls: Boxes | None,
+    area: OutlinedArea | None = None,
 ) -> Drive:
     """Drive from the first pose of a trajectory up to the last one that straight line segments reach.
 
-    A segment that touches a wall or ends outside the domain, and all later ones, are not driven. A segment
-    that does both counts as a collision. The first segment may leave a wall that it starts inside of.
+    A segment that touches a wall, leaves the area or ends outside the domain, and all later ones, are not
+    driven. A segment that does the last and another counts as a collision. The first segment may leave a wall
+    that it starts inside of.
     """
     # A robot beside a wall may measure a pose inside it: the first segment does not collide with such a wall
     # if it ends beyond the nearest face. This does not apply to a start exactly on the face. The segments are
@@ -84,6 +90,8 @@ def drive_until_blocked(
     # twice as long to compile.
     poses = trajectory[1:]
     is_hit = _touches_any(trajectory[:-1], poses, walls, may_leave=True)
+    if area is not None:
+        is_hit = is_hit | area.is_blocked(trajectory)
     is_free = ~is_hit & _is_inside(poses, domain)
     is_on, collided, number = jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     for index in range(poses.shape[0]):
@@ -99,9 +107,15 @@ def drive_until_blocked(
     )
 
 
-def is_free(points: Float[Array, "N 2"], domain: Float[Array, "4"], walls: Boxes | None) -> Bool[Array, "N"]:
-    """Whether points lie in the domain and outside all walls."""
-    return _is_inside(points, domain) & ~_touches_any(points, points, walls)
+def is_free(
+    points: Float[Array, "N 2"],
+    domain: Float[Array, "4"],
+    walls: Boxes | None,
+    area: OutlinedArea | None = None,
+) -> Bool[Array, "N"]:
+    """Whether points lie in the domain, in the area, and outside all walls."""
+    free = _is_inside(points, domain) & ~_touches_any(points, points, walls)
+    return free if area is None else free & area.is_inside(points)
 
 
 def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[Array, "*N"]:

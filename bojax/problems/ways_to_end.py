@@ -2,11 +2,16 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
+from bojax.areas.outlined import OutlinedArea
+from bojax.areas.shapes import polygons_of, shapely_module, to_shape
+from bojax.areas.shortest_ways import shortest_ways
+from bojax.models.checks import is_known
 from bojax.motions.base import Path, Pose
 from bojax.motions.polylines import headings_along, lengths_along, points_along
-from bojax.problems.walls import ROUNDING, Drive
+from bojax.problems.walls import ROUNDING, Boxes, Drive
 
 
 class WaysToEnd(eqx.Module):
@@ -14,7 +19,7 @@ class WaysToEnd(eqx.Module):
 
     A shortest way is a polyline: straight from a position to the first corner of an obstacle at which it
     bends, or to the end point, and on from there. A lookup of the first corner makes the distance exact and
-    as cheap as a straight line, whatever the obstacles.
+    as cheap as a straight line, whatever the obstacles; where corners change, it is off by a little.
 
     Attributes:
         corners: Where ways bend, and last the end point, m.
@@ -23,6 +28,7 @@ class WaysToEnd(eqx.Module):
         first: Index of the first corner for positions around each grid point; the first axis is y.
         origin: Position of `first[0, 0]`, m.
         spacing: Distance between two grid points, m.
+        slack: Distance that is reserved for errors of the lookup, m.
         legs: Largest number of straight pieces of a way.
     """
 
@@ -32,6 +38,7 @@ class WaysToEnd(eqx.Module):
     first: Int[Array, "H W"]
     origin: Float[Array, "2"]
     spacing: Float[Array, ""]
+    slack: Float[Array, ""]
     legs: int = eqx.field(static=True)
 
     @classmethod
@@ -39,7 +46,16 @@ class WaysToEnd(eqx.Module):
         """Straight ways, without obstacles."""
         zeros = jnp.zeros((1,), end.dtype)
         index = jnp.zeros((1,), jnp.int32)
-        return cls(end[None], index, zeros, index[None], jnp.zeros_like(end), jnp.ones_like(zeros[0]), 1)
+        origin, one, none = jnp.zeros_like(end), jnp.ones_like(zeros[0]), zeros[0]
+        return cls(end[None], index, zeros, index[None], origin, one, none, legs=1)
+
+    def reserve(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
+        """Distance that has to be left at each point to reach the end point, m."""
+        return self.distance(points) + self.slack
+
+    def must_return(self, point: Float[Array, "2"], left: Float[Array, ""]) -> Bool[Array, ""]:
+        """Whether no more than the reserve is left at a point."""
+        return left <= (self.reserve(point) + self.slack) * (1.0 + ROUNDING) + ROUNDING
 
     def distance(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
         """Length of the shortest way from each point, m."""
@@ -73,10 +89,73 @@ class WaysToEnd(eqx.Module):
         poses = jnp.concatenate([points, headings_along(pose, points)[:, None]], axis=-1)
         poses = jnp.concatenate([pose[None], poses])[jnp.minimum(index, jnp.sum(is_driven, dtype=jnp.int32))]
         never = jnp.zeros((), bool)
-        return Drive(poses, is_driven, never, never), jnp.where(rest <= ROUNDING * (1.0 + total), 0.0, rest)
+        is_there = rest <= ROUNDING * (1.0 + total)
+        return Drive(poses, is_driven, never, never), jnp.where(is_there, 0.0, rest + self.slack)
 
     def _first(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N"]:
         height, width = self.first.shape
         column = jnp.round((points[..., 0] - self.origin[0]) / self.spacing).astype(jnp.int32)
         row = jnp.round((points[..., 1] - self.origin[1]) / self.spacing).astype(jnp.int32)
         return self.first[jnp.clip(row, 0, height - 1), jnp.clip(column, 0, width - 1)]
+
+
+def ways_around(
+    end: Float[Array, "2"], domain: Float[Array, "4"], walls: Boxes | None, area: OutlinedArea | None
+) -> WaysToEnd:
+    """The shortest ways around walls and in an area, computed on the host.
+
+    Raises:
+        ValueError: The end point is not in the area, or the values are traced.
+        MissingExtra: The extra `geo` is not installed.
+    """
+    if not is_known((end, domain, walls, area)):
+        raise ValueError("end: cannot be traced with walls or an area; allowed: pass `ways` as well")
+    shapely = shapely_module()
+    free = shapely.box(*np.asarray(domain, float).tolist())
+    if area is not None:
+        free = shapely.intersection(free, to_shape(area.area))
+    for wall in () if walls is None else np.asarray(walls, float):
+        free = shapely.difference(free, shapely.box(*wall.tolist()))
+    target = np.asarray(end, float)
+    parts = [part for part in polygons_of(free) if shapely.dwithin(part, shapely.Point(target), 1e-6)]
+    if not parts:
+        raise ValueError(f"end: ({target[0]:g}, {target[1]:g}) is not in the area, or lies in a hole of it")
+    ways = shortest_ways(parts[0], target)
+    return WaysToEnd(
+        corners=jnp.asarray(ways.corners, end.dtype),
+        following=jnp.asarray(ways.following, jnp.int32),
+        rest=jnp.asarray(ways.rest, end.dtype),
+        first=jnp.asarray(ways.first, jnp.int32),
+        origin=jnp.asarray(ways.origin, end.dtype),
+        spacing=jnp.asarray(ways.spacing, end.dtype),
+        slack=jnp.asarray(0.1 * ways.spacing, end.dtype),
+        legs=ways.legs,
+    )
+
+
+def check_reach(
+    ways: WaysToEnd,
+    start: Float[Array, "3"] | None,
+    budget: Float[Array, ""] | None,
+    speed: Float[Array, ""] | None,
+) -> None:
+    """Refuse a budget below the way from the start to the end point, or raise ValueError.
+
+    Without a start, the way from anywhere counts. Nothing is checked of traced values.
+    """
+    if budget is None or not is_known((ways, start, budget, speed)):
+        return
+    if start is None:
+        height, width = ways.first.shape
+        x, y = np.meshgrid(np.arange(width), np.arange(height))
+        points = np.asarray(ways.origin) + float(ways.spacing) * np.stack([x, y], axis=-1).reshape(-1, 2)
+        least = float(jnp.max(ways.distance(jnp.asarray(points, ways.origin.dtype))))
+    else:
+        least = float(ways.distance(start[:2]))
+    if float(budget) < least * (1.0 - ROUNDING):
+        name, factor, unit = ("budget", 1.0, "m") if speed is None else ("time_budget", float(speed), "s")
+        origin = "any start" if start is None else "the start"
+        raise ValueError(
+            f"{name}: got {float(budget) / factor:g}; allowed: >= {least / factor:.4g} {unit}, the way from "
+            f"{origin} to the end point"
+        )

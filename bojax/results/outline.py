@@ -17,6 +17,8 @@ class Outline:
         start: Initial position, `(x, y)`; None if it differs between runs.
         heading: Heading to reach in a goal, in radians; None if all are allowed.
         blocks: Boxes that stand on the ground, `(x_min, y_min, x_max, y_max, height)`.
+        area: Borders of the polygons that may be driven in, and of their holes, each a list of `(x, y)`;
+            empty if there are none.
     """
 
     border: Sequence[Any] | None = None
@@ -25,6 +27,7 @@ class Outline:
     start: Sequence[Any] | None = None
     heading: Any = None
     blocks: Sequence[Sequence[Any]] = ()
+    area: Sequence[Sequence[Sequence[Any]]] = ()
 
     def as_numbers(self) -> dict[str, Any]:
         """The outline as plain numbers.
@@ -32,7 +35,9 @@ class Outline:
         Raises:
             ValueError: A shape has the wrong number of values, or a value is not finite.
         """
+        area = [[_numbers(corner, "area", (2,)) for corner in ring] for ring in self.area]
         return {
+            **({"area": area} if area else {}),
             "border": None if self.border is None else _numbers(self.border, "border", (4,)),
             "obstacles": [_numbers(shape, "obstacles", (3, 4)) for shape in self.obstacles],
             "goals": [_numbers(shape, "goals", (3, 4)) for shape in self.goals],

@@ -3,8 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle, Patch, PathPatch, Rectangle
+from matplotlib.path import Path
 
 from bojax.report import style
 from bojax.report.text import minus
@@ -38,6 +40,9 @@ def draw_outline(axes: Axes, outline: Outline) -> None:
         patch = axes.add_patch(_shape(shape, facecolor=WALL, edgecolor="none", zorder=2.5))
         if border is not None:
             patch.set_clip_path(border)
+    if len(outline.area) > 0 and border is not None:
+        patch = axes.add_patch(PathPatch(_outside(outline), facecolor=WALL, edgecolor="none", zorder=2.45))
+        patch.set_clip_path(border)
     for shape in outline.goals:
         _draw_goal(axes, outline, shape)
     if outline.start is not None:
@@ -47,6 +52,23 @@ def draw_outline(axes: Axes, outline: Outline) -> None:
     axes.tick_params(length=0)
     for side in axes.spines.values():
         side.set_visible(False)
+
+
+def _outside(outline: Outline) -> Path:
+    """The border less the area."""
+    assert outline.border is not None
+    x_min, y_min, x_max, y_max = outline.border
+    rings = [[(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)], *outline.area]
+    paths = [Path([*ring, ring[0]], closed=True) for ring in rings]
+    # Matplotlib fills by winding numbers: borders of areas and those of their holes must turn in opposite
+    # directions.
+    for index, ring in enumerate(rings[1:], start=1):
+        depth = 1 + sum(each.contains_point(ring[0]) for each in paths[1:] if each is not paths[index])
+        x, y = np.asarray(ring, float).T
+        is_counter_clockwise = np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) > 0.0
+        if is_counter_clockwise == (depth % 2 == 1):
+            paths[index] = Path([*ring[::-1], ring[-1]], closed=True)
+    return Path.make_compound_path(*paths)
 
 
 def tick_outline(axes: Axes, outline: Outline) -> None:

@@ -133,7 +133,11 @@ def _legend(points: Sequence[Point], outcomes: set[bool] | None, *, has_stops: b
         (False in (outcomes or ()), failure, "failure"),
         (True, Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
         (has_stops and outcomes is None, stopped, "stopped"),
-        (any(point.outline.obstacles for point in points), Patch(facecolor=WALL), "obstacle"),
+        (
+            any(each.outline.obstacles or each.outline.area for each in points),
+            Patch(facecolor=WALL),
+            "obstacle",
+        ),
         (True in specks, (ring, Line2D([], [], **_RING, markersize=2.5)), "goal"),
         (False in specks, Patch(**TARGET), "goal"),
     ]

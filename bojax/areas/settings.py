@@ -1,0 +1,104 @@
+"""Settings of the areas that robots drive in."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import pydantic
+from pydantic import Field
+
+from bojax.config.component import RECORDED, Component
+from bojax.fields.data import sha256_of_files
+
+if TYPE_CHECKING:
+    from bojax.areas.place import Place
+
+
+class AreaSettings(Component, frozen=True):
+    """An area that a robot may drive in."""
+
+    role: ClassVar[str] = "area"
+    plural: ClassVar[str] = "areas"
+
+
+class OutlinedArea(AreaSettings, frozen=True):
+    """Polygons with holes from a file (GeoJSON, KML), or the cells with data of a raster."""
+
+    target: ClassVar[str] = "bojax.areas.outlined:OutlinedArea"
+    kind: Literal["outline"] = "outline"
+    file: str = Field(
+        min_length=1,
+        description="a file of polygons or a raster, relative to the working directory; degrees and map "
+        "projections become metres",
+    )
+    avoid: tuple[str, ...] = Field(
+        default=(), strict=False, description="files of no-go zones: polygons, or rasters with data in them"
+    )
+    below: float | None = Field(
+        default=None, description="of a raster, only cells with values below it; null for all cells with data"
+    )
+    frame: str | None = Field(
+        default=None,
+        description="file of a field whose origin and metres the area is given in; null for those of a field "
+        "in degrees or a map projection, and otherwise the area's own, with its lower left corner at [0, 0]",
+    )
+    resolution: int = Field(
+        default=400, ge=10, le=1500, description="cells along the longer side of the table of distances"
+    )
+    checks: int = Field(
+        default=8, ge=1, description="points of the line between two poses of a path that must be inside"
+    )
+    sha256: str | None = Field(default=None, description="SHA-256 of the files; null to compute it")
+
+    @pydantic.model_validator(mode="after")
+    def _readable(self, info: pydantic.ValidationInfo) -> "OutlinedArea":
+        if info.context is RECORDED and self.sha256 is not None:
+            return self
+        try:
+            digest = sha256_of_files(self.file, *self.avoid)
+        except OSError as error:
+            raise ValueError(f"{error.filename}: {error.strerror}") from error
+        if self.sha256 is None:
+            # Results record the area that they were computed in; a run resumes with the same area only.
+            object.__setattr__(self, "sha256", digest)
+        elif self.sha256 != digest:
+            raise ValueError(f"{self.file}: the file, or one to avoid, has changed: their SHA-256 differs")
+        _ = self.place
+        return self
+
+    @property
+    def place(self) -> "Place":
+        """The area in metres.
+
+        Raises:
+            ValueError: A file cannot be read, or holds no area.
+        """
+        from bojax.areas.place import read_outlined  # not at the start of every command
+
+        return read_outlined(self.file, self.avoid, self.below, self.frame, self.sha256)
+
+    def check_inside(self, points: Mapping[str, tuple[float, float]]) -> None:
+        """Refuse points, by the names of their settings, outside the area or in different parts of it.
+
+        Raises:
+            ValueError: A point is not in the area, or nothing joins it to the others.
+        """
+        import numpy as np
+
+        from bojax.areas.shapes import polygons_of, shapely_module, to_shape
+
+        shapely, place = shapely_module(), self.place
+        parts = polygons_of(to_shape(place.area))
+        held = [set(range(len(parts)))]
+        x_min, y_min, x_max, y_max = place.area.bounds
+        tolerance = max(x_max - x_min, y_max - y_min) / self.resolution / 2.0
+        for name, (x, y) in points.items():
+            near = np.flatnonzero(shapely.dwithin(parts, shapely.Point(x, y), tolerance))
+            if not len(near):
+                raise ValueError(f"{name}: ({x:g}, {y:g}) is not in the area, or lies in a hole of it")
+            held.append(held[-1] & set(near.tolist()))
+            if not held[-1]:
+                raise ValueError(f"{name}: ({x:g}, {y:g}) lies in another part of the area than the start")
+        if "end" in points and "start" not in points and len(parts) > 1:
+            raise ValueError(
+                f"start: got null; allowed: a point, as only one of {len(parts)} parts of the area has the end"
+            )
