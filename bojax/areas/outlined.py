@@ -16,7 +16,8 @@ class OutlinedArea(eqx.Module):
     """An area from files, as a table of the signed distance to its border.
 
     Whether a point is inside is one lookup, so that the cost does not depend on the number of corners. The
-    table knows the border to half a cell: a point counts as inside if it is at most that far outside.
+    table knows the border to half a cell, and sharp corners to one: a point counts as inside if it is at most
+    that far outside. Obstacles narrower than two cells may be missed.
 
     Settings: `bojax.areas.settings.OutlinedArea`.
 

@@ -100,5 +100,5 @@ class OutlinedArea(AreaSettings, frozen=True):
                 raise ValueError(f"{name}: ({x:g}, {y:g}) lies in another part of the area than the start")
         if "end" in points and "start" not in points and len(parts) > 1:
             raise ValueError(
-                f"start: got null; allowed: a point, as only one of {len(parts)} parts of the area has the end"
+                f"start: got null; allowed: a point, as the end is in one of {len(parts)} parts of the area"
             )

@@ -21,6 +21,28 @@ ERROR_COLUMNS: Table = (
     Column("mean_std", "float64", "", "mean standard deviation of the final belief"),
 )
 
+FIELD_COLUMNS: Table = (
+    *ERROR_COLUMNS,
+    Column("collisions", "int32", "", "times that a wall stopped the robot"),
+    Column("sampled_gradient", "float64", "1/m", "mean norm of the field's gradient at the samples"),
+    Column(
+        "ignored_samples", "int32", "", "samples left out of the belief: not finite, or beyond its capacity"
+    ),
+)
+
+
+STEP_ERRORS = ("rmse", "mnll", "mean_std")
+"""Errors of the belief in `steps.parquet`, if they are asked for."""
+
+DISTANCE = Column("distance", "float64", "m", "distance driven so far, along the poses of the paths")
+STEP_COLUMNS: Table = tuple(
+    Column(
+        each.name, each.dtype, each.unit, each.doc.replace("the final belief", "the belief after the step")
+    )
+    for each in ERROR_COLUMNS
+    if each.name in STEP_ERRORS
+)
+
 
 def field_errors(
     field: Field,

@@ -23,16 +23,16 @@ from bojax.motions.base import Motions, Path, Pose
 from bojax.numerics.lanes import any_lane
 from bojax.problems.arena import Arena
 from bojax.problems.field_belief import FieldBelief, Samples
-from bojax.problems.field_errors import ERROR_COLUMNS, Weighting, field_errors
+from bojax.problems.field_errors import DISTANCE, STEP_COLUMNS, STEP_ERRORS, Weighting, field_errors
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
 from bojax.problems.objectives import FieldObjective, JointObjective
 from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.sensors import PointSensor, Sensor
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 from bojax.problems.walls import Boxes
-from bojax.problems.ways_to_end import WaysToEnd, check_reach, ways_around
+from bojax.problems.ways_to_end import WaysToEnd, check_budget, ways_around
 from bojax.results.outline import Outline
-from bojax.results.schema import Column, Table
+from bojax.results.schema import Table
 
 FILM_RESOLUTION = 31
 """Largest number of grid points per side at which the belief after every step is recorded."""
@@ -40,28 +40,6 @@ FILM_RESOLUTION = 31
 PLACES = 15  # points per side at which the variance of the domain is integrated
 
 RELEARN_STARTS = 2  # number of starts of hyper-parameter learning: the current values, and a draw around them
-
-FIELD_COLUMNS: Table = (
-    *ERROR_COLUMNS,
-    Column("collisions", "int32", "", "times that a wall stopped the robot"),
-    Column("sampled_gradient", "float64", "1/m", "mean norm of the field's gradient at the samples"),
-    Column(
-        "ignored_samples", "int32", "", "samples left out of the belief: not finite, or beyond its capacity"
-    ),
-)
-
-
-STEP_ERRORS = ("rmse", "mnll", "mean_std")
-"""Errors of the belief in `steps.parquet`, if they are asked for."""
-
-DISTANCE = Column("distance", "float64", "m", "distance driven so far, along the poses of the paths")
-STEP_COLUMNS: Table = tuple(
-    Column(
-        each.name, each.dtype, each.unit, each.doc.replace("the final belief", "the belief after the step")
-    )
-    for each in ERROR_COLUMNS
-    if each.name in STEP_ERRORS
-)
 
 
 class FieldWorld(eqx.Module):
@@ -150,7 +128,7 @@ class FieldProblem(PathProblem):
                 "with a turning radius: null"
             )
         if self.ways is not None:
-            check_reach(self.ways, self.start, self._budget, self.speed)
+            check_budget(self.ways, self.start, self._budget, self.speed)
 
     @override
     def check_motions(self, motions: Motions) -> None:

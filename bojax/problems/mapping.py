@@ -14,7 +14,8 @@ from bojax.fields.blocks import Blocks
 from bojax.models.checks import check_takes
 from bojax.models.kernels import Kernel
 from bojax.problems.field_belief import FieldBelief
-from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
+from bojax.problems.field_errors import FIELD_COLUMNS
+from bojax.problems.field_problem import FieldProblem, FieldWorld
 from bojax.results.schema import Column, Table
 
 CORNERS = ("sw", "nw", "se", "ne")

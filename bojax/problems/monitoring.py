@@ -6,7 +6,8 @@ from jaxtyping import Scalar
 from typing_extensions import override
 
 from bojax.problems.field_belief import FieldBelief
-from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
+from bojax.problems.field_errors import FIELD_COLUMNS
+from bojax.problems.field_problem import FieldProblem, FieldWorld
 from bojax.results.schema import Table
 
 

@@ -1,5 +1,6 @@
 """Settings of planning problems, their objectives and their sensors."""
 
+from itertools import product
 from math import dist, pi
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,6 +14,7 @@ from bojax.config.limits import CELLS, square
 from bojax.fields.raster_files import frame_of
 from bojax.fields.settings import Blocks, Box, Bumps, Grid, Pair, Scattered, Step, proper_box
 from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
+from bojax.problems.budgets import check_one_budget, check_reach
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
 
@@ -310,7 +312,7 @@ class FieldProblem(ProblemSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _placed_area(self, info: pydantic.ValidationInfo) -> "FieldProblem":
+    def _placed_area(self, info: Any) -> "FieldProblem":
         if not isinstance(self.area, OutlinedArea) or info.context is RECORDED:
             return self
         place = self.area.place
@@ -342,7 +344,7 @@ class FieldProblem(ProblemSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _free_start(self, info: pydantic.ValidationInfo) -> "FieldProblem":
+    def _free_start(self, info: Any) -> "FieldProblem":
         ends = {"start": self.start, "end": self.end}
         for name, point in ends.items():
             if point is not None:
@@ -353,27 +355,14 @@ class FieldProblem(ProblemSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _one_budget(self) -> "FieldProblem":
-        if self.budget is not None and self.time_budget is not None:
-            raise ValueError("time_budget: not with budget; allowed: one of the two")
-        if (self.time_budget is None) != (self.speed is None):
-            lacks = "speed" if self.speed is None else "time_budget"
-            raise ValueError(f"{lacks}: got null; allowed: a number, since time_budget and speed go together")
-        if self.end is not None and self.distance_budget is None:
-            raise ValueError("end: needs a budget, or time_budget and speed")
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _end_in_reach(self) -> "FieldProblem":
+    def _enough_budget(self) -> "FieldProblem":
+        check_one_budget(self.budget, self.time_budget, self.speed, self.end is not None)
         budget = self.distance_budget
-        if self.end is None or budget is None:
-            return self
-        x_min, y_min, x_max, y_max = self.domain
-        corners = ((x_min, y_min), (x_min, y_max), (x_max, y_min), (x_max, y_max))
-        starts = corners if self.start is None else (self.start[:2],)
-        least = max(dist(self.end, start) for start in starts)
-        if budget < least * (1.0 - 1e-9):
-            raise ValueError(self.short_budget(least))
+        if self.end is not None and budget is not None:
+            corners = product(self.domain[::2], self.domain[1::2])
+            starts = corners if self.start is None else (self.start[:2],)
+            least = max(dist(self.end, start) for start in starts)
+            check_reach(budget, least, self.speed, self.start is not None)
         return self
 
     def _check_free(self, name: str, x: float, y: float) -> None:
@@ -391,16 +380,6 @@ class FieldProblem(ProblemSettings, frozen=True):
         if self.time_budget is None or self.speed is None:
             return self.budget
         return self.time_budget * self.speed
-
-    def short_budget(self, least: float) -> str:
-        """The message for a budget below the distance from the start to the end point, m."""
-        name, factor, unit = ("budget", 1.0, "m") if self.speed is None else ("time_budget", self.speed, "s")
-        start = "the start" if self.start is not None else "any start"
-        got = (self.distance_budget or 0.0) / factor
-        return (
-            f"{name}: got {got:g}; allowed: >= {least / factor:.4g} {unit}, to get from {start} to the end "
-            "point"
-        )
 
     @property
     @override

@@ -11,6 +11,7 @@ from bojax.areas.shortest_ways import shortest_ways
 from bojax.models.checks import is_known
 from bojax.motions.base import Path, Pose
 from bojax.motions.polylines import headings_along, lengths_along, points_along
+from bojax.problems.budgets import check_reach
 from bojax.problems.walls import ROUNDING, Boxes, Drive
 
 
@@ -133,7 +134,7 @@ def ways_around(
     )
 
 
-def check_reach(
+def check_budget(
     ways: WaysToEnd,
     start: Float[Array, "3"] | None,
     budget: Float[Array, ""] | None,
@@ -152,10 +153,4 @@ def check_reach(
         least = float(jnp.max(ways.distance(jnp.asarray(points, ways.origin.dtype))))
     else:
         least = float(ways.distance(start[:2]))
-    if float(budget) < least * (1.0 - ROUNDING):
-        name, factor, unit = ("budget", 1.0, "m") if speed is None else ("time_budget", float(speed), "s")
-        origin = "any start" if start is None else "the start"
-        raise ValueError(
-            f"{name}: got {float(budget) / factor:g}; allowed: >= {least / factor:.4g} {unit}, the way from "
-            f"{origin} to the end point"
-        )
+    check_reach(float(budget), least, None if speed is None else float(speed), start is not None)
