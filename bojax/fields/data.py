@@ -50,6 +50,22 @@ def read_points(file: str) -> "tuple[np.ndarray, list[str]]":
     return table, [names[column] for column in columns] if names else []
 
 
+def read_waypoints(file: str) -> "np.ndarray":
+    """Waypoints `[W, 2]` in a `.csv` or `.npy` file, m: its columns x and y, or its only two columns.
+
+    Raises:
+        ValueError: The file cannot be read, or has no such columns or fewer than two rows. The message is one
+            line.
+    """
+    table, names = _read_table(file, allows_holes=False)
+    if {"x", "y"} <= set(names):
+        table = table[:, [names.index("x"), names.index("y")]]
+    if table.shape[1] != 2 or len(table) < 2:
+        shape = f"{table.shape[0]} rows and {table.shape[1]} columns"
+        raise ValueError(f"{file}: got {shape}; allowed: columns x and y, and at least 2 rows")
+    return table
+
+
 X_NAMES = ("x", "lon", "longitude", "east", "easting")
 Y_NAMES = ("y", "lat", "latitude", "north", "northing")
 VALUE_NAMES = ("z", "value", "values", "depth", "elevation", "height", "measurement")

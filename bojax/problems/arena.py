@@ -12,6 +12,7 @@ from bojax.motions.base import Path, Pose, place
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
 from bojax.problems.ways_to_end import WaysToEnd
+from bojax.results.outline import Outline
 
 START_TRIES = 256  # number of random poses that a random start is searched in: the first free one
 
@@ -107,3 +108,13 @@ class Arena(eqx.Module):
         """Points of a regular grid over the domain, in rows of equal y."""
         x, y = self.axes(resolution)
         return jnp.stack([g.ravel() for g in jnp.meshgrid(x, y)], axis=-1)
+
+    def outline(self, start: Pose | None) -> Outline:
+        """The arena as figures draw it, on the host."""
+        return Outline(
+            border=self.domain.tolist(),
+            obstacles=[] if self.walls is None else self.walls.tolist(),
+            goals=[] if self.target_area is None else [self.target_area.tolist()],
+            start=None if start is None else start[:2].tolist(),
+            area=[] if self.area is None else [ring.tolist() for ring in self.area.rings],
+        )

@@ -32,3 +32,19 @@ def check_reach(distance: float, least: float, speed: float | None, has_start: b
             f"{name}: got {distance / factor:g}; allowed: >= {least / factor:.4g} {unit}, to get from "
             f"{start} to the end point"
         )
+
+
+def check_steps(distance: float, max_steps: int, length: float, name: str) -> None:
+    """Refuse paths that are so short that an episode may end before its end point, or raise ValueError.
+
+    Args:
+        distance: The budget, m.
+        max_steps: Number of paths.
+        length: Length of a path, m.
+        name: Setting of the length.
+    """
+    if length * max_steps < distance * (1.0 - ROUNDING):
+        raise ValueError(
+            f"{name}: got {length:g}; allowed: >= {distance / max_steps:.4g}, so that problem.max_steps "
+            f"({max_steps}) paths are as long as the budget ({distance:g} m) and reach the end point"
+        )

@@ -22,6 +22,7 @@ from bojax.models.means import Mean
 from bojax.motions.base import Motions, Path, Pose
 from bojax.numerics.lanes import any_lane
 from bojax.problems.arena import Arena
+from bojax.problems.budgets import check_steps
 from bojax.problems.field_belief import FieldBelief, Samples
 from bojax.problems.field_errors import DISTANCE, STEP_COLUMNS, STEP_ERRORS, Weighting, field_errors
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
@@ -133,22 +134,21 @@ class FieldProblem(PathProblem):
     @override
     def check_motions(self, motions: Motions) -> None:
         super().check_motions(motions)
+        self.check_paths(motions.length, motions.num_samples, "planner.motions.length")
+
+    def check_paths(self, length: Float[Array, ""], num_samples: int, name: str) -> None:
+        """Refuse paths of a length, the setting `name`, that have too few checks or miss the end."""
         if self.area is not None:
-            check_sampling(self.area, float(motions.length) / motions.num_samples)
+            check_sampling(self.area, float(length) / num_samples)
+        if self.end is not None and (budget := self._budget) is not None:
+            check_steps(float(budget), self.max_steps, float(length), name)
 
     @override
     def outline(self) -> Outline | None:
         """The outline of an area; without one, the settings have it."""
         if self.area is None:
             return None
-        goals = [] if self.target_area is None else [self.target_area.tolist()]
-        return Outline(
-            border=self.domain.tolist(),
-            obstacles=[] if self.walls is None else self.walls.tolist(),
-            goals=goals,
-            start=None if self.start is None else self.start[:2].tolist(),
-            area=[ring.tolist() for ring in self.area.rings],
-        )
+        return self.arena.outline(self.start)
 
     @abc.abstractmethod
     @override

@@ -1,5 +1,6 @@
 """A config of `bojax run` that simulates a survey: planners drive on a field that the model expects."""
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -8,13 +9,19 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from bojax.areas.place import Place
+from bojax.areas.settings import OutlinedArea
 from bojax.config.yaml_file import dump
 from bojax.results.store import write_content
+from bojax.surveys.lawnmower import Ground
 from bojax.surveys.model import FieldModel
 from bojax.surveys.planning import Demand, Survey
 
-CONFIG, FIELD = "simulation.yaml", "field.csv"
-"""The config, and the values of the field."""
+CONFIG, SWEEP, FIELD, AREA, LAWNMOWER = (
+    "simulation.yaml", "planners.yaml", "field.csv", "area.geojson", "lawnmower.csv"
+)  # fmt: skip
+"""The config, the comparison of planners, the field, the area in its metres, and the best lawnmower."""
+
+RESOLUTION = OutlinedArea.model_fields["resolution"].default
 
 CELLS = 40
 """Cells of the longer side of the field."""
@@ -22,7 +29,10 @@ CELLS = 40
 PATH_SAMPLES = 5
 """Measurements along a path of one lengthscale, the action of a planner."""
 
-_COMMENT = "# bojax run simulates this survey. The domain is the rectangle around the area, holes included.\n"
+_COMMENT = """\
+# bojax run simulates this survey: the same area, budget and ends. Lengths are in metres, so that another
+# planner needs its settings as well; planners.yaml beside this file has those of several.
+"""
 
 ROOM = 1.5
 """Paths for which there is room, relative to those that use the budget: walls and borders shorten some."""
@@ -31,28 +41,36 @@ ROOM = 1.5
 def write_simulation(
     folder: Path, place: Place, model: FieldModel, survey: Survey, demand: Demand
 ) -> list[Path]:
-    """Write the config and its field, and return the paths; nothing for several robots.
+    """Write the config, the sweep and their files, and return the paths of both; none for several robots.
 
     Without an earlier survey, the field is one that the model draws; with one, it is what the earlier survey
-    makes the model expect. Its domain is the rectangle around the area: the tree planners know walls, but no
-    outlines.
+    makes the model expect.
     """
     if demand.robots > 1:
         return []
-    bounds = place.area.bounds
+    bounds, route = place.area.bounds, survey.chosen.routes[0]
     rows = [",".join(f"{value:.6g}" for value in row) for row in _values(model, bounds)]
     write_content(folder / FIELD, "\n".join(rows) + "\n")
+    write_content(folder / AREA, _geojson(Ground.of(place.area, route[0]).rings))
+    lines = [f"{x:.3f},{y:.3f}" for x, y in survey.lawnmower.routes[0]]
+    write_content(folder / LAWNMOWER, "\n".join(["x,y", *lines, ""]))
     length = demand.budget or survey.chosen.length
     path = min(model.lengthscale, length / 2.0)
-    x, y = survey.chosen.routes[0][0]
+    first = next((each for each in route[1:] - route[0] if np.any(each != 0.0)), np.ones(2))
+    heading = math.atan2(first[1], first[0])
     origin = "what the earlier survey expects" if model.seen is not None else "a draw from the model"
+    title = f"Simulated survey of {Path(place.name).name}, on {origin}"
+    planners = _planners(folder, path, model.std)
+    loss = -PATH_SAMPLES * model.std
     content: dict[str, Any] = {
-        "title": f"Simulated survey of {Path(place.name).name}, on {origin}",
+        "title": title,
         "problem": {
             "kind": "monitoring",
             "field": {"kind": "grid", "file": str(folder / FIELD), "extent": list(bounds)},
             "domain": list(bounds),
-            "start": [float(x), float(y), 0.0],
+            "area": {"kind": "outline", "file": str(folder / AREA), "checks": _checks(bounds, path)},
+            "start": [*route[0].tolist(), heading],
+            **({} if demand.end is None else {"end": demand.end.tolist()}),
             "objective": "uncertainty",
             "mean": {"kind": "constant", "value": model.mean},
             "kernel": {
@@ -62,21 +80,51 @@ def write_simulation(
             },
             "noise": model.noise,
             "noise_variance": model.noise**2,
-            "exit_reward": -PATH_SAMPLES * model.std,
+            "collision_reward": loss,
+            "exit_reward": loss,
             "budget": length,
             "max_steps": math.ceil(ROOM * length / path),
             "errors_by_step": True,
         },
-        "planner": {
-            "kind": "sbo",
-            "iterations": 100,
-            "exploration": 10.0 * model.std,
-            "motions": {"kind": "splines", "actions": 9, "length": path, "num_samples": PATH_SAMPLES},
-        },
+        "planner": planners["sbo"],
         "runs": 8,
     }
     write_content(folder / CONFIG, _COMMENT + dump(content))
-    return [folder / CONFIG]
+    sweep = {"title": title, "base": CONFIG, "axes": {"planner": planners}, "runs": 8}
+    write_content(folder / SWEEP, "# bojax sweep compares planners on this survey.\n" + dump(sweep))
+    return [folder / CONFIG, folder / SWEEP]
+
+
+def _planners(folder: Path, path: float, std: float) -> dict[str, dict[str, Any]]:
+    """Settings of planners whose paths have a length, in metres, on a field with a standard deviation."""
+    pieces = {"length": path, "num_samples": PATH_SAMPLES}
+    search = {"iterations": 100, "exploration": 10.0 * std}
+
+    def motions(kind: str, **more: int) -> dict[str, Any]:
+        return {"motions": {"kind": kind, **more, **pieces}}
+
+    return {
+        "route": {"kind": "route", "file": str(folder / "waypoints.csv"), **pieces},
+        "lawnmower": {"kind": "lawnmower", "file": str(folder / LAWNMOWER), **pieces},
+        "kcbts": {"kind": "kcbts", **search, **motions("kernel")},
+        "cbts": {"kind": "cbts", **search, **motions("cubic")},
+        "sbo": {"kind": "sbo", **search, **motions("splines", actions=9)},
+        "myopic": {"kind": "myopic", **motions("splines", actions=9)},
+        "random": {"kind": "random", **motions("splines", actions=9)},
+    }
+
+
+def _checks(bounds: tuple[float, float, float, float], path: float) -> int:
+    """Checks between two poses that are as many as the table of distances has cells there."""
+    x_min, y_min, x_max, y_max = bounds
+    cell = max(x_max - x_min, y_max - y_min) / RESOLUTION
+    return max(2, math.ceil(path / PATH_SAMPLES / cell))
+
+
+def _geojson(rings: list[np.ndarray]) -> str:
+    """One polygon, its border first, in metres."""
+    coordinates = [np.round(ring, 4).tolist() for ring in rings]
+    return json.dumps({"type": "Polygon", "coordinates": coordinates, "crs": None})
 
 
 def _values(model: FieldModel, bounds: tuple[float, float, float, float]) -> np.ndarray:

@@ -17,8 +17,8 @@ from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.surveys import planning  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
+from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
 from tests.fields.test_raster_files import write_tif  # noqa: E402
-from tests.surveys.test_place import HOLE, OUTER, geojson  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
