@@ -8,13 +8,21 @@ from bojax.config.component import Component, slots
 REQUIRED: dict[str, dict[str, Any]] = {
     "grid": {"file": "grid.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
     "scattered": {"file": "rows.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
+    "outline": {"file": "area.geojson"},
+    "route": {"file": "way.csv"},
+    "lawnmower": {"file": "way.csv"},
     "gymnasium": {"id": "MountainCar-v0"},
     "brax": {"name": "fast"},
     "learning": {"env": "mountain-car", "learner": "emu-q"},
 }
 """Settings of the kinds that do not have a default for each of theirs."""
 
-FILES = {"grid.csv": "1,2\n3,4", "rows.csv": "x,y,value\n0,0,1\n1,0,2\n0,1,3"}
+FILES = {
+    "grid.csv": "1,2\n3,4",
+    "rows.csv": "x,y,value\n0,0,1\n1,0,2\n0,1,3",
+    "way.csv": "x,y\n1,1\n4,1\n4,4",
+    "area.geojson": '{"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [0, 1], [0, 0]]], "crs": null}',
+}
 """The data files that these settings name."""
 
 TINY: dict[str, Any] = {

@@ -13,7 +13,9 @@ pytest.importorskip("pyproj")
 pytest.importorskip("rasterio")
 
 from bojax.cli.main import main  # noqa: E402
+from bojax.config.sweep import load_config, load_sweep  # noqa: E402
 from bojax.config.yaml_file import read_mapping  # noqa: E402
+from bojax.engine.build import build  # noqa: E402
 from bojax.surveys import planning  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
@@ -224,4 +226,35 @@ def test_the_config_of_a_survey_runs_as_it_is(tmp_path):
     assert main(["run", str(out / "simulation.yaml"), *changed, "--runs", "2", "--out", str(runs)]) == 0
     steps = pq.read_table(runs / "steps.parquet").to_pydict()
     assert 400.0 < max(steps["distance"]) <= 500.0 + 1e-6
-    assert read_mapping(out / "simulation.yaml", "")["problem"]["start"] == [20.0, 30.0, 0.0]
+    assert read_mapping(out / "simulation.yaml", "")["problem"]["start"][:2] == [20.0, 30.0]
+
+
+def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
+    hole = [[80, 60], [200, 60], [200, 120], [80, 120], [80, 60]]
+    border = [[0, 0], [300, 0], [300, 200], [0, 200], [0, 0]]
+    (tmp_path / "pond.geojson").write_text(geojson(border, hole, crs=None))
+    out, runs = tmp_path / "survey", tmp_path / "runs"
+    words = ["--budget", "900", "--lengthscale", "60", "--start", "20,90", "--end", "280,90", "--lawnmower"]
+    assert main(["survey", str(tmp_path / "pond.geojson"), *words, "--out", str(out)]) == 0
+    planners = read_mapping(out / "planners.yaml", "")["axes"]["planner"]
+    assert [*planners] == ["route", "lawnmower", "kcbts", "cbts", "sbo", "myopic", "random"]
+    for sweep in (load_sweep(str(out / "planners.yaml")), load_config(str(out / "simulation.yaml"))):
+        for point in sweep.points:
+            build(point.config)
+    for name, stops in (("lawnmower", False), ("random", True)):
+        changed = [
+            f"planner.{key}={json.dumps(value)}" for key, value in planners[name].items() if key != "kind"
+        ]
+        config, folder = str(out / "simulation.yaml"), runs / name
+        words = [f"planner={name}", *changed, "problem.resolution=121", "--runs", "2", "--out", str(folder)]
+        assert main(["run", config, *words]) == 0
+        found, steps = (pq.read_table(folder / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
+        assert found["success"] == [True, True] and max(steps["distance"]) <= 900.0 + 1e-6
+        assert bool(sum(found["collisions"])) == stops
+        last = [(x, y) for x, y, done in zip(steps["x"], steps["y"], steps["done"], strict=True) if done]
+        np.testing.assert_allclose(last, [(280.0, 90.0)] * 2, atol=1e-6)
+    # What the survey expects of the lawnmower is what its simulation finds. A coarse grid has a larger share
+    # of points at the border, where the deviation is larger.
+    expected = json.loads((out / "survey.json").read_text())["candidates"][0]["errors"][-1]
+    mean_std = pq.read_table(runs / "lawnmower" / "runs.parquet").to_pydict()["mean_std"]
+    assert mean_std == pytest.approx([expected] * 2, rel=0.02)

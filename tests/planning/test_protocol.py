@@ -14,7 +14,6 @@ from bojax.planning.base import Plan
 from bojax.planning.belief_search import BeliefTreeSearch
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.search import TreeSearch
-from bojax.planning.settings import BeliefPlannerSettings
 from tests.parts import first_kinds, tiny
 from tests.planning.samples import (
     FIELD_POSES,
@@ -48,7 +47,7 @@ def task(problem):
 PLANNERS = {
     kind: tiny("planner", kind, **{"iterations": 60} if "iterations" in schema.model_fields else {})
     for kind, schema in kinds("planner").items()
-    if not issubclass(schema, BeliefPlannerSettings)
+    if "motions" in schema.model_fields
 }
 
 

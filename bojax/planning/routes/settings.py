@@ -10,7 +10,9 @@ from bojax.fields.data import read_waypoints, sha256_of_files
 from bojax.planning.settings import PlannerSettings
 
 
-class _RouteFollower(PlannerSettings, frozen=True):
+class RouteSettings(PlannerSettings, frozen=True):
+    """A planner that follows a route from a file."""
+
     target: ClassVar[str] = "bojax.planning.routes.follower:RouteFollower"
 
     file: str = Field(
@@ -22,7 +24,7 @@ class _RouteFollower(PlannerSettings, frozen=True):
     sha256: str | None = Field(default=None, description="SHA-256 of the file; null to compute it")
 
     @pydantic.model_validator(mode="after")
-    def _readable(self, info: Any) -> "_RouteFollower":
+    def _readable(self, info: Any) -> "RouteSettings":
         if info.context is RECORDED and self.sha256 is not None:
             return self
         read_waypoints(self.file)
@@ -34,13 +36,13 @@ class _RouteFollower(PlannerSettings, frozen=True):
         return self
 
 
-class Route(_RouteFollower, frozen=True):
+class Route(RouteSettings, frozen=True):
     """A route from a file, as `bojax survey` writes it, driven piece by piece on a field."""
 
     kind: Literal["route"] = "route"
 
 
-class Lawnmower(_RouteFollower, frozen=True):
+class Lawnmower(RouteSettings, frozen=True):
     """The same, for a lawnmower: `bojax survey` writes the best one as `lawnmower.csv`."""
 
     kind: Literal["lawnmower"] = "lawnmower"

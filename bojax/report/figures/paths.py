@@ -10,6 +10,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from bojax.problems.settings import FieldProblem
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, name_panels, panel_grid, points_with
 from bojax.report.drawing.domains import ARROWS, TARGET, WALL, draw_outline, is_speck, tick_outline
@@ -83,7 +84,7 @@ def draw(results: Results) -> Drawing:
         f"{EXAMPLES} that failed (grey, dashed)."
         if is_outcome_shown
         else f"The first recorded run.{' Grey: the true field, darker where higher.' if truths else ''}"
-        f"{' Red circles: a wall or the border stopped the robot.' if num_stops else ''}"
+        f"{f' Red circles: {_stoppers(points)} stopped the robot.' if num_stops else ''}"
     )
     return Drawing(
         figure=figure,
@@ -91,6 +92,12 @@ def draw(results: Results) -> Drawing:
         caption=f"{caption} Arrows show the heading after each step.{note}",
         alt=f"Example trajectories on the domain, one panel per planner. {'; '.join(told)}.",
     )
+
+
+def _stoppers(points: Sequence[Point]) -> str:
+    problems = [point.problem for point in points]
+    has_budget = any(isinstance(each, FieldProblem) and each.distance_budget is not None for each in problems)
+    return "a wall, the border or the end of the budget" if has_budget else "a wall or the border"
 
 
 def _draw_run(axes: Axes, arrays: Mapping[str, Any], colour: str, is_success: bool = True) -> Floats:
