@@ -74,10 +74,8 @@ class Area:
             distance = np.minimum(distance, -_signed_distance(zone, points))
         return distance
 
-    def distance_table(self, spacing: float) -> tuple[np.ndarray, tuple[float, float]]:
-        """Signed distances `[H, W]` on a grid, by y and x, and the position of the first, m.
-
-        The grid extends beyond the outline by two cells.
+    def axes(self, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates x and y of a grid that extends beyond the outline by two cells, m.
 
         Raises:
             ValueError: The grid would have too many points.
@@ -87,8 +85,8 @@ class Area:
             _axis(x_min - 2 * spacing, x_max + 2 * spacing, spacing),
             _axis(y_min - 2 * spacing, y_max + 2 * spacing, spacing),
         )
-        values = self.distances(_mesh(columns, rows)).reshape(len(rows), len(columns))
-        return values, (float(columns[0]), float(rows[0]))
+        _check_size(columns, rows)
+        return columns, rows
 
     def grid(self, spacing: float) -> np.ndarray:
         """Centres `[M, 2]` of the cells of a square grid that are in the area, m.
@@ -137,22 +135,26 @@ def _mesh(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: There are too many.
     """
-    if len(columns) * len(rows) > LARGEST_GRID:
-        raise ValueError(
-            f"spacing: the grid would have more than {LARGEST_GRID:,} points; allowed: a larger one"
-        )
+    _check_size(columns, rows)
     x, y = np.meshgrid(columns, rows)
     return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
-def _edges(rings: Sequence[Ring]) -> tuple[np.ndarray, np.ndarray]:
+def _check_size(columns: np.ndarray, rows: np.ndarray) -> None:
+    if len(columns) * len(rows) > LARGEST_GRID:
+        raise ValueError(
+            f"spacing: the grid would have more than {LARGEST_GRID:,} points; allowed: a larger one"
+        )
+
+
+def edges_of(rings: Sequence[Ring]) -> tuple[np.ndarray, np.ndarray]:
     """First and last points `[E, 2]` of the edges of some rings."""
     return np.concatenate(list(rings)), np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
 
 
 def _is_inside(rings: Sequence[Ring], points: np.ndarray) -> np.ndarray:
     """Whether a ray in the direction of x crosses the rings an odd number of times, for each point."""
-    first, last = _edges(rings)
+    first, last = edges_of(rings)
     rise = last[:, 1] - first[:, 1]
     slope = (last[:, 0] - first[:, 0]) / np.where(rise == 0.0, 1.0, rise)  # a level edge is never crossed
     inside = np.zeros(len(points), bool)
@@ -167,7 +169,7 @@ def _is_inside(rings: Sequence[Ring], points: np.ndarray) -> np.ndarray:
 
 def _signed_distance(rings: Sequence[Ring], points: np.ndarray) -> np.ndarray:
     """Distance to the nearest edge of the rings, negative outside."""
-    first, last = _edges(rings)
+    first, last = edges_of(rings)
     along = last - first
     squared = np.maximum((along**2).sum(1), np.finfo(float).tiny)  # a repeated corner has no length
     distance = np.empty(len(points))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bojax.areas import distance_grid
 from bojax.areas.area import Area
 from bojax.areas.distance_grid import DistanceGrid
 from bojax.areas.shapes import to_shape
@@ -82,3 +83,15 @@ def test_a_grid_has_the_size_of_the_area() -> None:
 def test_bad_areas_are_refused(make, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_the_distances_of_many_edges_are_searched(monkeypatch) -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+    star = 5.0 + np.stack([np.cos(turn), np.sin(turn)], axis=1) * (3.0 + np.sin(9.0 * turn))[:, None]
+    area = Area((star, 5.0 + 0.2 * (star - 5.0))).without([[HOLE + 2.0]])
+    exact = DistanceGrid.of(area, 0.1)
+    monkeypatch.setattr(distance_grid, "MOST_PAIRS", 0)
+    searched = DistanceGrid.of(area, 0.1)
+    np.testing.assert_array_equal(np.sign(searched.values), np.sign(exact.values))
+    np.testing.assert_allclose(searched.values, exact.values, atol=0.1 / 16)
+    np.testing.assert_array_equal(searched.origin, exact.origin)

@@ -14,7 +14,10 @@ shapely = pytest.importorskip("shapely")
 from bojax.areas.area import Area  # noqa: E402
 from bojax.areas.outlined import OutlinedArea  # noqa: E402
 from bojax.cli.main import main  # noqa: E402
+from bojax.engine.build import build  # noqa: E402
+from bojax.fields.raster_files import local_extent, read_raster  # noqa: E402
 from bojax.motions.base import place  # noqa: E402
+from bojax.problems.settings import Monitoring  # noqa: E402
 from tests.planning.samples import f64, monitoring  # noqa: E402
 from tests.problems.test_monitoring import SIZE, drives  # noqa: E402
 
@@ -134,6 +137,40 @@ def test_runs_stay_in_the_area_and_end_at_the_point(files, tmp_path):
     assert sum(shapely.Polygon(ring).area for ring in rings[1:]) == pytest.approx(
         shapely.Polygon(HOLE).area, rel=1e-6
     )
+
+
+def raster_with_a_hole(tmp_path):
+    """Depths by longitude and latitude, none on an island, and a no-go zone in the same coordinates."""
+    longitude, latitude = 10.0 + 0.0005 * np.arange(21), 54.0 + 0.0005 * np.arange(11)
+    values = np.add.outer(np.arange(11.0), np.arange(21.0))
+    values[4:8, 5:9] = np.nan
+    np.savez(tmp_path / "depth.npz", z=values, lon=longitude, lat=latitude)
+    west, east, south, north = longitude[14], longitude[17], latitude[2], latitude[6]
+    zone = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    (tmp_path / "zone.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [zone]}))
+    return str(tmp_path / "depth.npz"), str(tmp_path / "zone.geojson")
+
+
+def test_an_area_is_in_the_metres_of_the_field(tmp_path):
+    depth, zone = raster_with_a_hole(tmp_path)
+    outline = {"kind": "outline", "file": depth, "avoid": [zone]}
+    field = {"kind": "grid", "file": depth, "holes": "nearest"}
+    settings = Monitoring.model_validate({"kind": "monitoring", "field": field, "area": outline})
+    problem = build(settings)
+    x_min, y_min, x_max, y_max = local_extent(read_raster(depth))
+    x, y = np.linspace(x_min, x_max, 21), np.linspace(y_min, y_max, 11)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    depths = jax.jit(lambda points: problem.field.values(points))(jnp.asarray(points[1, 1:3]))
+    np.testing.assert_allclose(depths, [2.0, 3.0])  # cells are where the field has them
+    expected = np.ones((11, 21), bool)
+    expected[4:8, 5:9] = expected[2:7, 14:18] = False
+    free = np.asarray(
+        jax.jit(lambda points: problem.arena.is_free(points))(jnp.asarray(points.reshape(-1, 2)))
+    )
+    is_clear = np.ones((11, 21), bool)  # but for cells on the border of the no-go zone
+    is_clear[[2, 6], 14:18] = is_clear[2:7, [14, 17]] = False
+    is_clear[[0, -1]] = is_clear[:, [0, -1]] = False  # and rounding at the border of the domain
+    np.testing.assert_array_equal(free.reshape(11, 21)[is_clear], expected[is_clear])
 
 
 @pytest.mark.parametrize(
