@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
@@ -20,6 +21,7 @@ from bojax.report.figures.beliefs import _maps, _norms
 from bojax.report.figures.paths import stops
 from bojax.report.source import Results, load
 from bojax.report.tables import outcomes, ratios, thesis_gaps
+from bojax.results.outline import Outline
 from tests.report.synthetic import SPACE, edit_manifest, manifest_of, point_of, write_monitoring
 
 THESIS = {
@@ -112,6 +114,23 @@ class TestMaps:
         assert [-1.0, 0.0, 9.0, 4.0] in boxes
         assert all(any(np.allclose(box, wall) for box in boxes) for wall in SPACE["walls"])
         assert [tick.get_text() for tick in grid[0, 0].get_xticklabels()] == ["\N{MINUS SIGN}1", "4", "9"]
+
+    @pytest.mark.parametrize("turn", [1, -1])
+    def test_what_is_not_in_the_area_is_drawn_as_an_obstacle(self, turn):
+        def square(low, high):
+            return [(low, low), (high, low), (high, high), (low, high)][::turn]
+
+        # A lake with an island that has a pond.
+        outline = Outline(border=(0.0, 0.0, 10.0, 10.0), area=[square(1, 9), square(3, 7), square(4, 6)])
+        with style.settings():
+            figure, grid = style.figure(4.0)
+            draw_outline(grid[0, 0], outline)
+            canvas = FigureCanvasAgg(figure)
+            canvas.draw()
+        pixels = np.asarray(canvas.buffer_rgba())[::-1]
+        for at, is_obstacle in ((0.5, True), (2.0, False), (3.5, True), (5.0, False), (9.5, True)):
+            x, y = np.round(grid[0, 0].transData.transform((at, at))).astype(int)
+            assert (pixels[y, x, 0] < 128) == is_obstacle, at
 
     def test_the_first_axis_is_y_and_points_of_the_grid_are_centres_of_cells(self):
         belief = {"x": np.array([0.0, 1.0, 2.0]), "y": np.array([0.0, 4.0])}
