@@ -1,13 +1,14 @@
 """What an optimisation has found: the best point, all evaluations, and figures of them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from typing_extensions import override
 
 from bojax.api.results import Picture
 from bojax.optimisation.drawing import draw_progress, draw_slice
@@ -50,6 +51,12 @@ class OptimisationResult:
     is_noisy: bool
     search: Search | None
 
+    @override
+    def __repr__(self) -> str:
+        """The best point and its value: what a notebook shows of a result."""
+        number = f"{len(self.evaluations)} evaluations, {self.num_failed} failed"
+        return f"OptimisationResult(best={self.best}, value={self.value}, {number})"
+
     @property
     def best(self) -> dict[str, Any] | None:
         """The point of the best value, with noise of the best mean under the model; None if all failed."""
@@ -81,8 +88,10 @@ class OptimisationResult:
         """Mean and standard deviation of the function at points, without noise.
 
         Raises:
-            ValueError: No evaluation has succeeded.
+            ValueError: No evaluation has succeeded, or `points` is a single point.
         """
+        if isinstance(points, Mapping):
+            raise ValueError("points: got a single point; allowed: a list of points, such as [point]")
         if self.search is None:
             raise ValueError("no evaluation has succeeded")
         values = [tuple(point[axis.key] for axis in self.axes) for point in points]

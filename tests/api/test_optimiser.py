@@ -82,6 +82,7 @@ def test_failures_are_not_learned_from_and_not_tried_again():
 def test_all_failures_are_a_result_without_a_best_point():
     result = bojax.minimise(lambda **_: math.inf, SPACE, budget=3, progress=False)
     assert result.best is None and result.value is None and result.num_failed == 3
+    assert repr(result) == "OptimisationResult(best=None, value=None, 3 evaluations, 3 failed)"
     for use in (result.plot, lambda: result.predict([])):
         with pytest.raises(ValueError, match="no evaluation has succeeded"):
             use()
@@ -163,6 +164,8 @@ def test_step_by_step_with_points_of_ones_own_and_more_than_the_capacity():
     optimiser.tell(optimiser.ask(), 0.0)
     result = optimiser.result()
     assert len(result.evaluations) == 41
+    with pytest.raises(ValueError, match="points: got a single point; allowed: a list"):
+        result.predict({"x": 0.5})
     mean, _ = result.predict([{"x": 0.5}])
     assert mean[0] == pytest.approx(0.25, abs=0.05)
 
