@@ -86,6 +86,8 @@ def main(name: str, words: Sequence[str]) -> int:
         if isinstance(source, str) and (hidden := shadowed(source, folder)):
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
+    for sweep in sweeps:
+        _note_success(sweep)
     if args.dry_run:
         from bojax.results.folder import dated_folder  # imports pyarrow
 
@@ -94,6 +96,18 @@ def main(name: str, words: Sequence[str]) -> int:
     command = ["bojax", name, *words]
     sweeps = [resolved(sweep) for sweep in sweeps]
     return run(sweeps, folders, args.resume, command, launching=args, has_baseline=name == "run")
+
+
+def _note_success(sweep: Sweep) -> None:
+    """Say on standard error that no run of a point can succeed, if it is to end at its first success."""
+    for point in sweep.points:
+        env = getattr(point.config, "env", None)
+        if getattr(point.config, "stop", "") == "first-success" and getattr(env, "success", "") == "never":
+            key = 'env.success: got "never"'
+            print(
+                f"note: {key}: no run ends before its last episode, or counts as a success", file=sys.stderr
+            )
+            return
 
 
 def _folders(out: Path, names: Sequence[str]) -> list[Path]:

@@ -112,7 +112,10 @@ def _validate(external: External, path: Location, locate: Locate) -> Component:
     except _Refusal as error:
         raise ConfigError(f"{locate(where)}: {error}") from error.__cause__
     except pydantic.ValidationError as error:
-        raise from_validation(error, lambda location: locate((*path, *location))) from error
+        refused = from_validation(error, lambda location: locate((*path, *location)))
+        if not external.params:
+            refused = ConfigError(f"{refused}; a new kind discards the settings of the old one")
+        raise refused from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # raised by the user's annotations or validators
@@ -182,4 +185,6 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         owner = next((parent for parent in cls.__mro__ if names[0] in vars(parent)), None)
         see = f"{owner.__module__}.{owner.__name__}" if owner else base.replace(":", ".")
         hint = f"; see {see}" if see else ""
+        if any(parent.__module__.startswith("gymnasium.") for parent in cls.__mro__):
+            hint = "; a class of Gymnasium is registered there, and given by kind=gymnasium id=MODULE:ID"
         raise _Refusal(f"got {shown(kind)}; the class does not implement {', '.join(names)}{hint}")

@@ -23,6 +23,7 @@ from bojax.text import error_line
 try:
     import gymnasium
     from gymnasium import spaces
+    from gymnasium.error import NameNotFound
 
     from bojax.envs.gymnasium_spaces import GymnasiumAdapter, from_gymnasium, to_gymnasium
 except ImportError as error:
@@ -145,7 +146,9 @@ class HostEnv(Env):
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raise ValueError(f'id: got "{id}"; {error_line(error)}') from error
+            is_unknown = isinstance(error, NameNotFound) and ":" not in id
+            hint = " (one of your own: MODULE:ID imports its module first)" if is_unknown else ""
+            raise ValueError(f'id: got "{id}"; {error_line(error)}{hint}') from error
         dtype = success_reward.dtype
         self.observations = from_gymnasium(spaces[0], "observation", dtype, low, high)
         self.actions = from_gymnasium(spaces[1], "action", dtype)

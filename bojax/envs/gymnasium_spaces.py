@@ -159,7 +159,11 @@ def _box(
     wide = ~(np.abs(bounds) < _INFINITE).all(axis=0)
     if wide.any():
         where = ", ".join(map(str, np.flatnonzero(wide)))
-        remedy = "set low and high" if what == "observation" else "an action needs finite ones"
+        remedy = (
+            f"set low and high, such as high={[1.0] * min(size, 9)}"
+            if what == "observation"
+            else "an action needs finite ones"
+        )
         raise ValueError(f"{what} space has infinite bounds (component {where}): {remedy}")
     if not np.all(bounds[0] < bounds[1]):
         where = ", ".join(map(str, np.flatnonzero(~(bounds[0] < bounds[1]))))

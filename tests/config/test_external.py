@@ -16,6 +16,7 @@ MODULE = '''
 from typing import Literal
 
 import equinox as eqx
+import gymnasium
 import jax.numpy as jnp
 import pydantic
 from jaxtyping import Array, Float
@@ -68,6 +69,10 @@ class Nested(Kernel):
 
 class Lacking(eqx.Module):
     lengthscale: float
+
+
+class Registered(gymnasium.Env):
+    pass
 
 
 number = 3
@@ -203,6 +208,10 @@ planner.kernel=my_kernels:Nested
 => the annotation of inner in Nested is not the type of a setting; allowed:
 planner.kernel=my_kernels:Lacking
 => the class does not implement __call__; see bojax.models.kernels.Kernel
+planner.kernel=my_kernels:Registered
+=> does not implement __call__; a class of Gymnasium is registered there, and given by kind=gymnasium
+planner.kernel=my_kernels:Annotated
+=> missing; this setting has no default; a new kind discards the settings of the old one
 """
 
 

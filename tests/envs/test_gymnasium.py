@@ -192,10 +192,10 @@ def test_what_cannot_be_learned_on_is_refused_in_a_line(toy):
     shape = r"Toy-v0: reset returns an observation of shape \(2,\), not \(2, 3\)"
     order = r"observation space: low is not below high \(component 0, 1, 2, 3, 4, 5\)"
     bad = [
-        ({"id": "MountainCart-v0"}, 'id: got "MountainCart-v0"; .*doesn\'t exist.*MountainCar'),
+        ({"id": "MountainCart-v0"}, 'id: got "MountainCart-v0"; .*doesn\'t exist.*MountainCar.*MODULE:ID'),
         ({"id": "no_such:Env-v0"}, "No module named 'no_such'"),
         ({"kwargs": {"wheels": 4}}, "unexpected keyword argument 'wheels'"),
-        ({"id": "CartPole-v1"}, f"{infinite}: set low and high"),
+        ({"id": "CartPole-v1"}, rf"{infinite}: set low and high, such as high=\[1.0, 1.0, 1.0, 1.0\]"),
         ({"id": "CartPole-v1", "low": -1.0}, infinite),
         ({"low": [0.0, 1.0]}, "low: got 2 numbers; there are 6 in an observation"),
         ({"low": 1.0}, order),
