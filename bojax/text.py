@@ -25,12 +25,20 @@ def error_at_line(error: BaseException) -> str:
 
     If an installed package raised it, the line is the last one outside of all packages, which called it.
     """
-    frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
+    place = place_of(error)
+    if not place or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
         return error_line(error)
+    return f"{error_line(error)} ({place})"
+
+
+def place_of(error: BaseException) -> str:
+    """The file and the line where an exception was raised, as in `error_at_line`; empty if it was not."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames:
+        return ""
     own = [frame for frame in frames if "site-packages" not in Path(frame.filename).parts]
     at = (own or frames)[-1]
-    return f"{error_line(error)} ({Path(at.filename).name}, line {at.lineno})"
+    return f"{Path(at.filename).name}, line {at.lineno}"
 
 
 def duration(seconds: float) -> str:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from bojax.text import error_at_line
+from bojax.text import error_at_line, place_of
 
 
 def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
@@ -29,6 +29,11 @@ def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
         jax.eval_shape(check, part, *arguments)
     except Misfit as error:
         raise ValueError(f"{name}: {error}") from error
+    except jax.errors.ConcretizationTypeError as error:  # its message is long, and about JAX
+        raise ValueError(
+            f"{name}: a trial call failed: a value that JAX traces is used in an if, a while or as a number; "
+            f"allowed: jnp.where or jax.lax.cond ({place_of(error)})"
+        ) from error
     except Exception as error:  # a user's class may raise anything
         raise ValueError(f"{name}: a trial call failed: {error_at_line(error)}") from error
 

@@ -92,6 +92,12 @@ class Discrete(ActionSpace):
 
     values: Float[Array, "A K"]
 
+    def __check_init__(self) -> None:
+        if getattr(self.values, "ndim", 0) != 2:
+            raise ValueError(
+                "Discrete: allowed: an array with a row of numbers for each action, such as jnp.eye(3)"
+            )
+
     @property
     @override
     def size(self) -> int:

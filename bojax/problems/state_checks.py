@@ -52,7 +52,10 @@ def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
     state = problem.initial(keys[0])
     _require_vector("initial", state, problem.discount)
     action = problem.actions.decode(problem.actions.sample(keys[1]))
-    next_state, reward, terminated = problem.step(keys[2], state, action)
+    stepped = problem.step(keys[2], state, action)
+    if not isinstance(stepped, tuple) or len(stepped) != 3:
+        _refuse("step: allowed: three values, the next state, the reward and whether the episode ends")
+    next_state, reward, terminated = stepped
     require("the next state of step", next_state, state)
     require("the reward of step", reward, problem.discount)
     require("the termination of step", terminated, jnp.zeros((), bool))

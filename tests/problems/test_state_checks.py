@@ -12,7 +12,7 @@ from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
 from bojax.planning.belief_planner import PolicyPlanner
-from bojax.problems.actions import Box
+from bojax.problems.actions import Box, Discrete
 from bojax.problems.state_checks import check_model
 from bojax.problems.state_space import StateProblem
 from tests.refusals import assert_refused, without_annotation_checks
@@ -42,6 +42,10 @@ class Line(StateProblem):
             draw = lambda _: np.random.default_rng().normal()  # noqa: E731
             shape = jax.ShapeDtypeStruct((), moved.dtype)
             moved = moved + jax.pure_callback(draw, shape, moved, vmap_method="sequential")
+        if self.mistake == "python's if" and action[0] > 0.0:
+            return state, -1.0, False
+        if self.mistake == "two values":
+            return moved, -1.0
         reward = -jnp.sqrt(moved[0]) if self.mistake == "reward" else -jnp.abs(moved[0])
         return moved, reward, moved[0] > 3.0
 
@@ -112,6 +116,11 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
     mistakes = (
         ("actions", "actions: a random action is not in the action space"),
         ("reward", "step: a state or a reward is not finite"),
+        (
+            "python's if",
+            "a trial call failed: .* traces is used in an if.*jnp.where.*test_state_checks.py, line",
+        ),
+        ("two values", "step: allowed: three values"),
         ("python's random numbers", "not pure: two calls with equal arguments differ"),
         ("a callback", "not pure: two calls with equal arguments differ"),
         ("density", "log_likelihood is never negative, even far from all observations"),
@@ -129,6 +138,12 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
         )
         for value in (0.0, -0.5, 1.01)
     )
+
+
+def test_discrete_actions_are_rows_of_numbers():
+    message = "^Discrete: allowed: an array with a row of numbers for each action"
+    with without_annotation_checks():
+        assert_refused([(lambda: Discrete(3), message), (lambda: Discrete(jnp.arange(3.0)), message)])  # type: ignore
 
 
 def test_wrong_shapes_are_refused():
