@@ -40,7 +40,12 @@ def main(name: str, words: Sequence[str]) -> int:
 
     from bojax.report.comparing.build import compare
     from bojax.results.folder import dated_folder, require_empty
+    from bojax.results.store import MANIFEST, WORK
 
+    for folder in args.folders:
+        if folder.is_dir() and not any((*folder.glob(f"**/{MANIFEST}"), *folder.glob(WORK))):
+            allowed = "a results folder; curves of other libraries follow --csv"
+            raise UsageError(f"{folder}: not a results folder (no {MANIFEST}); allowed: {allowed}")
     out = args.out or dated_folder(name)
     require_empty(out)
     values = {

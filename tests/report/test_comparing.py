@@ -538,7 +538,10 @@ class TestMistakes:
             ([], "bojax compare: got none; allowed: results folders or --csv files"),
             (["car", "car"], "bojax compare: got car twice; allowed: distinct sources"),
             (["nowhere"], "nowhere: no such results folder"),
-            (["empty"], "empty: not a results folder"),
+            (
+                ["empty"],
+                "empty: not a results folder (no manifest.json); allowed: a results folder; curves of other",
+            ),
             (["car", "--csv", "nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
             (
                 ["car", "--csv", "empty"],
