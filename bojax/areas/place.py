@@ -135,7 +135,9 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
     suffix = Path(area.partition(".nc:")[0] + ".nc" if ".nc:" in area else area).suffix.lower()
     if suffix not in (*polygons.SUFFIXES, *RASTERS):
         allowed = f"a size such as 500x300, or a file: {', '.join((*polygons.SUFFIXES, *RASTERS))}"
-        raise ValueError(f"area: got {area}; allowed: {allowed}")
+        shapes = {".shp", ".gpkg"}  # formats that GIS programs write by default
+        hint = f" (ogr2ogr area.geojson {area} converts it)" if suffix in shapes else ""
+        raise ValueError(f"area: got {area}; allowed: {allowed}{hint}")
     notes: list[str] = []
     try:
         if suffix in polygons.SUFFIXES:

@@ -1,6 +1,7 @@
 """An argument parser with one-line errors."""
 
 import argparse
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -57,7 +58,13 @@ class Parser(argparse.ArgumentParser):
         Raises:
             UsageError: An argument is wrong.
         """
-        return self.parse_intermixed_args(list(words))
+        joined: list[str] = []
+        for word in words:
+            if re.match(r"-[\d.]", word) and joined and re.fullmatch("--[a-z-]+", joined[-1]):
+                joined[-1] += f"={word}"  # argparse takes -3.2,51.1 for an option
+            else:
+                joined.append(word)
+        return self.parse_intermixed_args(joined)
 
     @override
     def error(self, message: str) -> NoReturn:

@@ -81,7 +81,7 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
         if survey.share < 1.0 - 1e-6:
             part = "the largest part" if start is None and end is None else "the part with the given points"
             place = place.noted(
-                f"The area is not connected: {part}, {100 * survey.share:.3g}% of it, is surveyed."
+                f"The area is not connected: {part}, {min(100 * survey.share, 99.9):.3g}% of it, is surveyed."
             )
         if goal.needs_values and survey.weights.min() == survey.weights.max():
             reason = "without --prior, " if args.prior is None else f"in {args.prior}, "
@@ -150,7 +150,7 @@ def _parser(name: str) -> Parser:
     parser.option("--time", "TIME", "duration instead, such as 40min or 1h30min; needs --speed", _duration)
     parser.option("--speed", "M/S", "speed of the robot, m/s", _positive)
     parser.option(
-        "--start", "X,Y", "first point (default: free); --start=-3,5 if it begins with a minus", _point,
+        "--start", "X,Y", "first point (default: free)", _point,
         action="append", default=[],
     )  # fmt: skip
     parser.option("--end", "X,Y", "last point (default: free)", _point, action="append", default=[])

@@ -178,6 +178,7 @@ def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):
             "--time: got 1 week; allowed: a duration such as 40min",
         ),
         (["100x100", "--start", "5"], "--start: got 5; allowed: two numbers"),
+        (["100x100", "--start", "-3.2,5"], "--start: got -3.2,5, which is not in the area"),
         (["100x100", "--start", "500,5"], "--start: got 500,5, which is not in the area"),
         (
             ["100x100", "--start", "1,5", "--end", "99,5", "--budget", "50"],
