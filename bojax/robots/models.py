@@ -66,7 +66,8 @@ def from_file(path: str | Path) -> RobotModel:
     try:
         return RobotModel(read_within(TEXT, path, str(path)).decode(), str(path.resolve()))
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: {one_line(error)}") from error
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise ValueError(f"{path}: {reason or one_line(error)}") from error
 
 
 @functools.cache
