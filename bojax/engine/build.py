@@ -37,4 +37,5 @@ def build(
         structure = jax.eval_shape(lambda key: run.new_learner(key, capacity=0), jax.random.key(0))
         state = load_learner(Path(component.saved), component.saved_run, structure)
         return eqx.tree_at(lambda r: r.saved, run, state, is_leaf=lambda x: x is None)
-    return construct(component, dtype, locate)
+    part = construct(component, dtype, locate)
+    return part.fitted() if isinstance(component, Learning) else part

@@ -125,6 +125,11 @@ class LearningRun(Experiment):
             raise ValueError(f"env: {error}") from error
         self.learner.check_spaces(self.env.observation_space, self.env.action_space)
 
+    def fitted(self) -> "LearningRun":
+        """The run with values of the settings of the learner that are left to the environment."""
+        learner = self.learner.fitted(self.env.observation_space, self.env.action_space)
+        return eqx.tree_at(lambda run: run.learner, self, learner)
+
     @property
     @override
     def tables(self) -> Mapping[str, Table]:

@@ -85,6 +85,10 @@ class Learner(eqx.Module):
             ValueError: The observations or actions are of a kind that the learner does not take.
         """
 
+    def fitted(self, observation_space: Space, action_space: Space) -> "Learner":
+        """The learner with values of the settings that are left to these spaces; by default itself."""
+        return self
+
     @abc.abstractmethod
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int

@@ -67,6 +67,11 @@ class EMUQ(Learner):
         ENTRIES.check(self.features.count(observation_space, action_space) ** 2, "learner.features")
 
     @override
+    def fitted(self, observation_space: Space, action_space: Space) -> "EMUQ":
+        features = self.features.fitted(observation_space, action_space, self.prior_precision.dtype)
+        return eqx.tree_at(lambda learner: learner.features, self, features)
+
+    @override
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> EMUQState:

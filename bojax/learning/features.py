@@ -232,6 +232,10 @@ class FeatureSpec(eqx.Module):
             ValueError: The spaces do not fit.
         """
 
+    def fitted(self, observation_space: Space, action_space: Space, dtype: jnp.dtype) -> "FeatureSpec":
+        """Settings for these spaces, with numbers of `dtype`; by default they are these settings."""
+        return self
+
     def count(self, observation_space: Space, action_space: Space) -> int:
         """The number of features that `draw` draws for these spaces."""
         key, dtype = jax.random.key(0), jnp.dtype(jnp.float32)

@@ -61,6 +61,11 @@ class RFFQ(Learner):
         self.features.check_spaces(observation_space, action_space)
 
     @override
+    def fitted(self, observation_space: Space, action_space: Space) -> "RFFQ":
+        features = self.features.fitted(observation_space, action_space, self.discount.dtype)
+        return eqx.tree_at(lambda learner: learner.features, self, features)
+
+    @override
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> RFFQState:

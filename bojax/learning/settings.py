@@ -73,6 +73,13 @@ class OneHot(FeatureSettings, frozen=True):
     kind: Literal["indicators"] = "indicators"
 
 
+class AutoFeatures(FeatureSettings, frozen=True):
+    """Features that need no settings: number and lengthscales follow from the spaces of the environment."""
+
+    target: ClassVar[str] = "bojax.learning.auto_features:AutoSpec"
+    kind: Literal["auto"] = "auto"
+
+
 class LearnerSettings(Component, frozen=True):
     """A learner."""
 
