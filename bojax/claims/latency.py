@@ -55,8 +55,8 @@ def _measured(results: Results, test: Latency, name: str) -> statistics.Interval
         raise Undecidable(f"several settings of {name}: test them by variant")
     seconds = results.latency.seconds.get(str(points[0].index))
     if seconds is None:
-        folder = results.folder
-        raise Undecidable(
-            f"the latency of {name} was not measured: run `bojax bench latency {folder}`, then report again"
+        raise Undecidable(  # a page for others repeats this text, so that it names no folder
+            f"the latency of {name} was not measured: run `bojax bench latency DIR` on the results, "
+            "then report again"
         )
     return statistics.Interval(*seconds)
