@@ -1,6 +1,6 @@
 """Errors of the route of `bojax survey` over those of its best lawnmower on the odd fields of the league.
 
-    PYTHONPATH=. python benchmarks/odd_fields.py --starts 4 --json odd.json
+    python benchmarks/odd_fields.py --starts 4 --json odd.json
 
 Odd fields have holes or walls, or are not stationary. Each is surveyed twice: to a free end, and back to the
 start. A ratio is that of the sums over the lengths, with its 95% interval over the starts.
@@ -40,7 +40,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors to a file")
     args = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
-    fields, errors = [field for field in league() if field.name in ODD], Errors(defaultdict(list))
+    fields = [field for field in league() if field.name in ODD]
+    errors: Errors = defaultdict(list)
     for index in range(args.starts):
         for field in fields:
             for end in ENDS:

@@ -1,6 +1,13 @@
 """Checks of the budget of a field problem, in metres or in seconds at a speed."""
 
+from typing import Any
+
 ROUNDING = 1e-9  # share of a distance
+
+
+def distance_of(budget: Any, time_budget: Any, speed: Any) -> Any:
+    """The distance that may be driven, m: numbers or arrays; None without a budget."""
+    return budget if time_budget is None or speed is None else time_budget * speed
 
 
 def check_one_budget(

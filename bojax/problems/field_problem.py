@@ -22,7 +22,7 @@ from bojax.models.means import Mean
 from bojax.motions.base import Motions, Path, Pose
 from bojax.numerics.lanes import any_lane
 from bojax.problems.arena import Arena
-from bojax.problems.budgets import check_steps
+from bojax.problems.budgets import check_steps, distance_of
 from bojax.problems.field_belief import FieldBelief, Samples
 from bojax.problems.field_errors import DISTANCE, STEP_COLUMNS, STEP_ERRORS, Weighting, field_errors
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
@@ -38,6 +38,7 @@ from bojax.results.schema import Table
 FILM_RESOLUTION = 31
 """Largest number of grid points per side at which the belief after every step is recorded."""
 
+STARTS = 101  # points per side from which an end point must be in reach, if the start is random
 PLACES = 15  # points per side at which the variance of the domain is integrated
 
 RELEARN_STARTS = 2  # number of starts of hyper-parameter learning: the current values, and a draw around them
@@ -129,7 +130,10 @@ class FieldProblem(PathProblem):
                 "with a turning radius: null"
             )
         if self.ways is not None:
-            check_budget(self.ways, self.start, self._budget, self.speed)
+            arena = self.arena
+            starts = arena.grid(STARTS) if self.start is None else self.start[None, :2]
+            is_free = arena.is_free(starts) | (len(starts) == 1)
+            check_budget(self.ways, starts, is_free, self._budget, self.speed)
 
     @override
     def check_motions(self, motions: Motions) -> None:
@@ -163,9 +167,7 @@ class FieldProblem(PathProblem):
     @property
     def _budget(self) -> Float[Array, ""] | None:
         """The distance that may be driven, m."""
-        budget = self.budget
-        if self.time_budget is not None and self.speed is not None:
-            budget = self.time_budget * self.speed
+        budget = distance_of(self.budget, self.time_budget, self.speed)
         return None if budget is None else budget.astype(self.domain.dtype)
 
     @property
@@ -189,6 +191,7 @@ class FieldProblem(PathProblem):
     @property
     def arena(self) -> Arena:
         """The area that the robot moves in."""
+        straight = None if self.end is None else WaysToEnd.straight(self.end)
         return Arena(
             domain=self.domain,
             margin=self.margin.astype(self.domain.dtype),
@@ -197,9 +200,7 @@ class FieldProblem(PathProblem):
             collision_reward=self.collision_reward,
             exit_reward=self.exit_reward,
             after_collision=self.after_collision,
-            ways=self._in_precision(WaysToEnd.straight(self.end) if self.ways is None else self.ways)
-            if self.end is not None
-            else None,
+            ways=self._in_precision(straight if self.ways is None else self.ways),
             area=self._in_precision(self.area),
         )
 

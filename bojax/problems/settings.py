@@ -14,7 +14,7 @@ from bojax.config.limits import CELLS, square
 from bojax.fields.raster_files import frame_of
 from bojax.fields.settings import Blocks, Box, Bumps, Grid, Pair, Scattered, Step, proper_box
 from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
-from bojax.problems.budgets import check_one_budget, check_reach
+from bojax.problems.budgets import check_one_budget, check_reach, distance_of
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
 
@@ -358,7 +358,8 @@ class FieldProblem(ProblemSettings, frozen=True):
     def _enough_budget(self) -> "FieldProblem":
         check_one_budget(self.budget, self.time_budget, self.speed, self.end is not None)
         budget = self.distance_budget
-        if self.end is not None and budget is not None:
+        has_starts = self.start is not None or self.area is None  # else, the problem knows how far they are
+        if self.end is not None and budget is not None and has_starts:
             corners = product(self.domain[::2], self.domain[1::2])
             starts = corners if self.start is None else (self.start[:2],)
             least = max(dist(self.end, start) for start in starts)
@@ -377,9 +378,7 @@ class FieldProblem(ProblemSettings, frozen=True):
     @property
     def distance_budget(self) -> float | None:
         """The distance that may be driven, m; None without a budget."""
-        if self.time_budget is None or self.speed is None:
-            return self.budget
-        return self.time_budget * self.speed
+        return distance_of(self.budget, self.time_budget, self.speed)
 
     @property
     @override

@@ -136,21 +136,16 @@ def ways_around(
 
 def check_budget(
     ways: WaysToEnd,
-    start: Float[Array, "3"] | None,
+    starts: Float[Array, "N 2"],
+    is_free: Bool[Array, "N"],
     budget: Float[Array, ""] | None,
     speed: Float[Array, ""] | None,
 ) -> None:
-    """Refuse a budget below the way from the start to the end point, or raise ValueError.
+    """Refuse a budget below the longest way from the free starts to the end point, or raise ValueError.
 
-    Without a start, the way from anywhere counts. Nothing is checked of traced values.
+    Nothing is checked of traced values.
     """
-    if budget is None or not is_known((ways, start, budget, speed)):
+    if budget is None or not is_known((ways, starts, is_free, budget, speed)):
         return
-    if start is None:
-        height, width = ways.first.shape
-        x, y = np.meshgrid(np.arange(width), np.arange(height))
-        points = np.asarray(ways.origin) + float(ways.spacing) * np.stack([x, y], axis=-1).reshape(-1, 2)
-        least = float(jnp.max(ways.distance(jnp.asarray(points, ways.origin.dtype))))
-    else:
-        least = float(ways.distance(start[:2]))
-    check_reach(float(budget), least, None if speed is None else float(speed), start is not None)
+    least = float(jnp.max(jnp.where(is_free, ways.distance(starts), 0.0)))
+    check_reach(float(budget), least, None if speed is None else float(speed), len(starts) == 1)

@@ -185,6 +185,10 @@ def test_an_area_is_in_the_metres_of_the_field(tmp_path):
             {"time_budget": "5.22", "speed": "0.5", "end": "[2.8, 0.2]"},
             "time_budget: got 5.22; allowed: >= 5.*s",
         ),
+        (
+            {"budget": "3", "end": "[2.8, 0.2]", "start": "null"},
+            "got 3; allowed: >= 3.[34].* m, to get from any",
+        ),
         ({"area.file": "nowhere.geojson"}, "nowhere.geojson: No such file"),
         ({"area.checks": "1"}, "area.checks: got 1; allowed: >= 4"),
         ({"area.below": "0"}, "has no values; allowed with --below: a raster"),
