@@ -47,7 +47,7 @@ def chosen(observation_space: Space, action_space: Space) -> RandomFourierFeatur
     have random Fourier features. Their number is that of Table 5.2 of the thesis: 300 for at most 4
     dimensions of state and action, 500 for more. The state lengthscale is 0.3 for one or two dimensions, as
     in the thesis, and grows with their square root, as distances in a cube do (Hvarfner et al., 2024). The
-    action lengthscale is 3 for a box, which docs/it-does-not-find-the-goal.md measures, and 0.3 for discrete
+    action lengthscale is 3 for a box, which docs/features-without-settings.md measures, and 0.3 for discrete
     actions, whose numbers have no order.
     """
     is_discrete = isinstance(action_space, Discrete)
