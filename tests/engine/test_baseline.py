@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import reduce
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,19 @@ from bojax.results.baseline import FILE
 from bojax.results.store import read_table
 
 
+@jax.jit
+def choose_action(space, key):
+    """A random action."""
+    if hasattr(space, "num"):
+        return jax.random.randint(key, (), 0, space.num, jnp.int32)
+    return space.from_unit(jax.random.uniform(key, space.low.shape, space.low.dtype))
+
+
+@eqx.filter_jit
+def step(env, key, state, action):
+    return env.step(key, state, action)
+
+
 def plain_episode(env, seed, run, number, hold):
     """An episode in a Python loop: sum of rewards, length, success."""
 
@@ -31,11 +45,8 @@ def plain_episode(env, seed, run, number, hold):
     for time in range(env.max_steps):
         choose, move = jax.random.split(key_of(run, number, 1, time))
         if time % hold == 0:
-            if hasattr(space, "num"):
-                action = jax.random.randint(choose, (), 0, space.num, jnp.int32)
-            else:
-                action = space.from_unit(jax.random.uniform(choose, space.low.shape, space.low.dtype))
-        state, made = env.step(move, state, action)
+            action = choose_action(space, choose)
+        state, made = step(env, move, state, action)
         total += float(made.reward)
         if made.terminated:
             return total, time + 1, bool(made.success)
@@ -80,9 +91,10 @@ def test_a_run_of_random_actions_begins_where_a_run_of_the_learner_does():
     run = build(config, "float32")
     assert isinstance(run, LearningRun)
     key = jax.random.fold_in(jax.random.key(0), 2)
-    carry = run.init(key)
-    state, _ = run.reset(carry, run.training(carry))
-    own = env_of_run(run.env, key).reset(reset_key(key, jnp.asarray(1, jnp.int32), 0, config.starts))
+    carry = eqx.filter_jit(run.init)(key)
+    state = jax.jit(lambda carry: run.reset(carry, run.training(carry))[0])(carry)
+    first = reset_key(key, jnp.asarray(1, jnp.int32), 0, config.starts)
+    own = jax.jit(lambda key, first: env_of_run(run.env, key).reset(first))(key, first)
     np.testing.assert_array_equal(state, own)
 
 

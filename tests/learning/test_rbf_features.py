@@ -1,5 +1,6 @@
 """Normalised radial basis functions: their formula in NumPy, their bilinear form, and their limits."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,7 @@ ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([3.0]))
 
 def drawn(observations=OBSERVATIONS, actions=ACTIONS, **settings):
     spec = build(NormalisedRBF(num_state_centres=12, num_action_centres=3, **settings))
-    return spec.draw(jax.random.key(0), observations, actions, jnp.dtype(jnp.float64))
+    return eqx.filter_jit(spec.draw)(jax.random.key(0), observations, actions, jnp.dtype(jnp.float64))
 
 
 def normalised(unit, centres, width):
@@ -29,7 +30,7 @@ def test_features_are_those_of_the_formula(width):
     s, a = np.asarray([0.3, -2.5]), np.asarray([1.7])  # the second observation is outside its bounds
     x = normalised((s + [1, 2]) / [2, 4], np.asarray(features.state_centres), width * 12 ** (-1 / 2))
     y = normalised((a + 3) / 6, np.asarray(features.action_centres), width / 3)
-    phi = np.asarray(features(jnp.asarray(s), jnp.asarray(a)))
+    phi = np.asarray(eqx.filter_jit(features)(s, a))
     np.testing.assert_allclose(phi, np.outer(x, y).ravel(), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(phi), 1.0)
 

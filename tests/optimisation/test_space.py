@@ -1,5 +1,6 @@
 """Spaces: what users may write, and positions that stand for values."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_a_position_stands_for_one_value(axis):
 
 def test_the_kernel_sees_the_values_alone():
     axes = read_space(SPACE)
-    kernel = mixed_matern52(jnp.asarray([0.5, 0.7, 0.9, 1.1]), axes)
+    kernel = eqx.filter_jit(mixed_matern52(jnp.asarray([0.5, 0.7, 0.9, 1.1]), axes))
     random = np.random.default_rng(1)
     boxes = np.asarray([axis.box for axis in axes for _ in range(axis.width)])
     ends = np.cumsum([axis.width for axis in axes])[:-1]

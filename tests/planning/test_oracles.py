@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +26,12 @@ def belief(states, weights=None):
     return Particles(jnp.asarray(states, float), jnp.log(weights), jnp.zeros(count, bool))
 
 
+@eqx.filter_jit
+def act(policy, problem, belief):
+    """The action of a policy, which draws nothing."""
+    return policy(problem, jax.random.key(0), belief)
+
+
 def towards(state):
     """Angle from the agent to the target's next position."""
     target = reference.VdpTag().step(np.array(state), (0.0, 0.0))[0][2:]
@@ -34,8 +41,8 @@ def towards(state):
 def test_to_next_ml_goes_to_the_target_of_a_random_particle():
     states = np.random.default_rng(0).uniform(-3.0, 3.0, (4, 4))
     weights = np.array([0.1, 0.2, 0.3, 0.4])
-    act = jax.jit(jax.vmap(lambda key: oracles.to_next_ml(VDP, key, belief(states, weights))))
-    actions = np.asarray(act(jax.random.split(jax.random.key(0), 2000)))
+    of_key = jax.jit(jax.vmap(lambda key: oracles.to_next_ml(VDP, key, belief(states, weights))))
+    actions = np.asarray(of_key(jax.random.split(jax.random.key(0), 2000)))
     assert np.all(actions[:, 1] == 0.0)
     gaps = np.abs(actions[:, :1] - [towards(state) for state in states])
     assert np.all(gaps.min(axis=1) < 1e-9)
@@ -47,11 +54,11 @@ def test_to_next_ml_goes_to_the_target_of_a_random_particle():
 def test_manage_uncertainty_looks_if_the_target_is_uncertain(spread):
     rng = np.random.default_rng(1)
     states = np.column_stack([np.full((500, 2), 0.3), rng.normal([1.0, -2.0], spread, (500, 2))])
-    action = oracles.manage_uncertainty(VDP, jax.random.key(0), belief(states))
+    action = act(oracles.manage_uncertainty, VDP, belief(states))
     assert action[0] == pytest.approx(towards(states.mean(axis=0)), abs=1e-9)
     deviation = np.sqrt(np.linalg.det(np.cov(states[:, 2:].T, ddof=0)))
     assert action[1] == float(deviation > 0.01)
-    without_look = oracles.to_next_mean(VDP, jax.random.key(0), belief(states))
+    without_look = act(oracles.to_next_mean, VDP, belief(states))
     assert without_look[0] == action[0] and without_look[1] == 0.0
 
 
@@ -66,7 +73,7 @@ def test_qmdp_takes_the_best_mean_value():
             after = [0.95 * values[max(-60, min(60, s + move))] - 1.0 for s in states]
             stopped = [100.0 if s == 0 else -100.0 for s in states]
             expected[move] = weights @ (after if move else stopped)
-        action = oracles.qmdp(LIGHT_DARK, jax.random.key(0), belief(states[:, None], weights))
+        action = act(oracles.qmdp, LIGHT_DARK, belief(states[:, None], weights))
         assert expected[action.item()] == pytest.approx(max(expected.values()), abs=1e-9)
 
 
@@ -86,14 +93,14 @@ def test_qmdp_takes_the_best_mean_value():
     ],
 )
 def test_localise_first(states, expected):
-    action = oracles.localise_first(LIGHT_DARK, jax.random.key(0), belief(np.array(states)[:, None]))
+    action = act(oracles.localise_first, LIGHT_DARK, belief(np.array(states)[:, None]))
     assert action.item() == expected
 
 
 def test_aside_first():
     for count, expected in ((9, 10.0), (10, 0.0)):
         states = np.array([0.0] * count + [30.0] * (10 - count))[:, None]
-        assert oracles.aside_first(LIGHT_DARK, jax.random.key(0), belief(states)).item() == expected
+        assert act(oracles.aside_first, LIGHT_DARK, belief(states)).item() == expected
 
 
 def test_ping_first():
@@ -102,16 +109,12 @@ def test_ping_first():
     problem = dataclasses.replace(problem, action_values=table)
     for aware, expected in ((0.0, 4.0), (1.0, 5.0)):
         states = np.array([[3.0, 3.0, 4.0, 4.0, 0.0, aware]] * 3)
-        assert oracles.ping_first(problem, jax.random.key(0), belief(states)).item() == expected
+        assert act(oracles.ping_first, problem, belief(states)).item() == expected
 
 
 def test_slow_down():
     problem = build(kinds("problem")["pomdp-lander"]())
     states = np.array([[0.0, 30.0, 0.0, 2.0, -10.0, 0.0], [0.0, 30.0, 0.0, 4.0, -20.0, 0.0]])
-    np.testing.assert_allclose(
-        oracles.slow_down(problem, jax.random.key(0), belief(states)), [-0.3, 1.5, 0.0]
-    )
+    np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-0.3, 1.5, 0.0])
     states[:, 3:5] = [100.0, 50.0]
-    np.testing.assert_allclose(
-        oracles.slow_down(problem, jax.random.key(0), belief(states)), [-5.0, 0.0, 0.0]
-    )
+    np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-5.0, 0.0, 0.0])
