@@ -16,6 +16,7 @@ from bojax.planning.pft import PFT, BeliefStep
 from bojax.planning.pomcpow import POMCPOW
 from bojax.planning.proposals import RandomProposal
 from bojax.problems.actions import Box, Discrete
+from bojax.problems.particles import initial
 from bojax.problems.state_space import StateProblem
 
 RECOMMENDATION = one_of("value", "visits")
@@ -59,6 +60,29 @@ class Drift(StateProblem):
 def drift(sensor_noise=0.5, end=2.0, discrete=False):
     space = Discrete(jnp.asarray([[-0.7], [0.0], [0.7]])) if discrete else Box(-jnp.ones(1), jnp.ones(1))
     return Drift(number(0.9), number(sensor_noise), number(end), space)
+
+
+def belief_of(problem, num=50, seed=1):
+    return _initial(problem, jax.random.key(seed), num)
+
+
+_initial = eqx.filter_jit(initial)
+
+
+@eqx.filter_jit
+def search(planner, key, problem, belief):
+    return planner.search(key, problem, belief)
+
+
+def root_content(planner, key, problem, belief):
+    """States of the root of PFT, and which are alive."""
+    root = _root(planner, key, problem, belief)
+    return np.asarray(root.states), np.asarray(root.alive)
+
+
+@eqx.filter_jit
+def _root(planner, key, problem, belief):
+    return planner.root(key, problem, belief)
 
 
 SETTINGS = {

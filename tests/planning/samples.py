@@ -110,11 +110,20 @@ def field_belief(problem, pose, num_observations, num_samples=6, seed=0):
     rng = np.random.default_rng(seed)
     capacity = problem.max_steps * num_samples
     x = f64(rng.uniform(problem.domain[:2], problem.domain[2:], (capacity, 2)))
-    y = problem.field.values(x) + problem.noise * f64(rng.normal(size=capacity))
-    world = dataclasses.replace(problem, start=f64(pose)).reset(jax.random.key(seed))
-    prior = problem.prior(jax.random.key(seed), world, num_samples)
-    posterior = _fit(problem, x, y, num_observations)
-    return dataclasses.replace(prior, pose=f64(pose), posterior=posterior)
+    noise, count = f64(rng.normal(size=capacity)), jnp.asarray(num_observations, jnp.int32)
+    keys = jax.random.key(seed), jax.random.key(seed)
+    return _belief_at(keys, problem, f64(pose), x, noise, count, num_samples)
+
+
+@eqx.filter_jit
+def _belief_at(keys, problem, pose, x, noise, count, num_samples):
+    y = problem.field.values(x) + problem.noise * noise
+    world = dataclasses.replace(problem, start=pose).reset(keys[0])
+    prior = problem.prior(keys[1], world, num_samples)
+    posterior = GaussianProcess.fit(
+        problem.kernel, problem.noise_variance, x, y, mean=problem.mean, count=count
+    )
+    return dataclasses.replace(prior, pose=pose, posterior=posterior)
 
 
 FIELD_POSES = {
@@ -208,13 +217,6 @@ POSES = {
 # These programs run for milliseconds: what costs time is to compile them. Not so on a GPU, where XLA of JAX
 # 0.11.2 makes wrong programs of them without optimisation: plans whose path is not that of their action.
 quick_jit = eqx.filter_jit
-
-
-@jax.jit
-def _fit(problem, x, y, count):
-    return GaussianProcess.fit(
-        problem.kernel, problem.noise_variance, x, y, mean=problem.mean, count=jnp.asarray(count, jnp.int32)
-    )
 
 
 @quick_jit

@@ -15,8 +15,16 @@ from bojax.planning.gp_proposal import GaussianProcessProposal
 from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Box, Mixed
-from bojax.problems.particles import initial
-from tests.planning.belief_searches import SETTINGS, Draws, drift, number, planner
+from tests.planning.belief_searches import (
+    SETTINGS,
+    Draws,
+    belief_of,
+    drift,
+    number,
+    planner,
+    root_content,
+    search,
+)
 from tests.reference import belief_search as reference
 
 LENGTHSCALE, CORRELATION, NOISE = 0.6, 0.4, 0.02
@@ -47,14 +55,13 @@ class Watching(RandomProposal):
 @pytest.mark.parametrize("name, target", [("pft", "return"), ("pomcpow", "reward")])
 def test_statistics_are_those_of_all_visits(name, target):
     problem, iterations = drift(), 150
-    belief = initial(problem, jax.random.key(1), 50)
+    belief = belief_of(problem)
     search_planner = planner(name, iterations, proposal=Watching(target))
-    tree = eqx.filter_jit(search_planner.search)(jax.random.key(5), problem, belief)
+    tree = search(search_planner, jax.random.key(5), problem, belief)
     draws = Draws(jax.random.key(5), problem, belief, search_planner)
     settings = SETTINGS | {"discount": 0.9, "num_actions": None}
     if name == "pft":
-        root = search_planner.root(draws.root_key, problem, belief)
-        content = np.asarray(root.states), np.asarray(root.alive)
+        content = root_content(search_planner, draws.root_key, problem, belief)
         expected = reference.PFT(draws, **settings).search(content, iterations)
     else:
         expected = reference.POMCPOW(draws, **settings).search(None, iterations)
@@ -104,12 +111,15 @@ def posterior(actions, totals, root_totals, points, space):
 VDP = build(kinds("problem")["vdp-tag"]())
 
 
-@pytest.mark.parametrize("problem, name", [(drift(), "ucb"), (VDP, "ei")], ids=["box", "angle and level"])
-def test_the_proposal_is_that_of_the_posterior(problem, name):
+@pytest.mark.parametrize(
+    "problem, name, learns",
+    [(drift(), "ucb", "return"), (VDP, "ei", "reward")],
+    ids=["box", "angle and level"],
+)
+def test_the_proposal_is_that_of_the_posterior(problem, name, learns):
     acquisition = {"ucb": UpperConfidenceBound(number(2.0)), "ei": ExpectedImprovement(number(0.0))}[name]
-    rule = proposal(acquisition=acquisition)
-    belief = initial(problem, jax.random.key(1), 50)
-    tree = eqx.filter_jit(planner("pft", 150, proposal=rule).search)(jax.random.key(5), problem, belief)
+    rule = proposal(learns, acquisition)
+    tree = search(planner("pft", 150, proposal=rule), jax.random.key(5), problem, belief_of(problem))
     space = problem.actions
     visits = np.asarray(tree.totals[..., 0])
     nodes = [ROOT, *np.argsort(-(visits[1:] > 0).sum(axis=1))[:2] + 1]
@@ -147,10 +157,11 @@ def test_an_angle_has_no_wall_and_a_level_is_a_correlation():
     assert rule.target == "return"
 
 
+@pytest.mark.slow
 def test_it_finds_the_best_of_many_actions_sooner_than_random_ones():
     # An immediate reward that an action alone decides: 1 - (a - 0.37)^2, with noise of the belief.
     problem = eqx.tree_at(lambda p: p.end, drift(), number(1e9))
-    belief = initial(problem, jax.random.key(1), 400)
+    belief = belief_of(problem, 400)
     belief = eqx.tree_at(lambda b: b.states, belief, belief.states * 0.05 - 0.6)
 
     def error(rule):

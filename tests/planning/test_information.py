@@ -8,8 +8,7 @@ import pytest
 
 from bojax.planning.pft import ENTROPY_FLOOR, BeliefStep, ParticleSet, entropy
 from bojax.planning.tree import ROOT
-from bojax.problems.particles import initial
-from tests.planning.belief_searches import drift, number, planner
+from tests.planning.belief_searches import belief_of, drift, number, planner, search
 
 
 def gaussian_entropy(weights, states):
@@ -22,26 +21,25 @@ def test_the_entropy_is_that_of_a_gaussian():
     rng = np.random.default_rng(0)
     states, weights = rng.normal(size=(50, 3)) * [1.0, 0.1, 5.0], rng.uniform(size=50)
     weights[:10] = 0.0
-    found = entropy(jnp.log(jnp.asarray(weights)), jnp.asarray(states))
+    found = jax.jit(entropy)(jnp.log(jnp.asarray(weights)), jnp.asarray(states))
     assert found == pytest.approx(gaussian_entropy(weights, states), rel=1e-9)
     known = np.column_stack([states, np.ones(50)])  # a component without variance
-    assert np.isfinite(entropy(jnp.log(jnp.asarray(weights)), jnp.asarray(known)))
+    assert np.isfinite(jax.jit(entropy)(jnp.log(jnp.asarray(weights)), jnp.asarray(known)))
 
 
 def test_rewards_are_raised_by_the_entropy_taken():
     problem = drift(sensor_noise=0.2, end=50.0)
-    belief = initial(problem, jax.random.key(1), 400)
+    belief = belief_of(problem, 400)
     settings = {"num_particles": 200, "iterations": 60}
     trees = {}
     for weight in (None, 0.0, 3.0):
-        search = planner("pft", **settings)
-        search = eqx.tree_at(
+        of_weight = eqx.tree_at(
             lambda p: p.information,
-            search,
+            planner("pft", **settings),
             None if weight is None else number(weight),
             is_leaf=lambda leaf: leaf is None,
         )
-        trees[weight] = eqx.filter_jit(search.search)(jax.random.key(5), problem, belief)
+        trees[weight] = search(of_weight, jax.random.key(5), problem, belief)
     np.testing.assert_array_equal(trees[None].outcome, trees[0.0].outcome)
     # The first branch of the root is the same in all trees.
     first = int(trees[3.0].branches[trees[3.0].children[ROOT, 0], 0])
@@ -55,6 +53,6 @@ def test_rewards_are_raised_by_the_entropy_taken():
 def test_nothing_is_paid_at_the_end():
     problem = drift(end=0.0)  # every step ends
     belief = ParticleSet(jnp.ones((20, 1)), jnp.ones(20, bool))
-    step = BeliefStep(False)
+    step = eqx.filter_jit(BeliefStep(False))
     *_, is_terminal, later = step(jax.random.key(0), problem, belief, belief.states[0], jnp.zeros(1))
     assert is_terminal and np.isfinite(later)
