@@ -1,18 +1,14 @@
 """Blocks against a loop over them, and what settings of them may not be."""
 
-import jax.numpy as jnp
 import numpy as np
 import pydantic
 import pytest
 
 from bojax.fields import settings as fields
 from bojax.fields.blocks import Blocks
+from tests.arrays import f64
 
 BOXES, HEIGHTS = [[0.0, 0.0, 1.0, 2.0], [0.5, 1.0, 3.0, 1.5]], [0.3, 0.7]
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 def test_the_highest_block_over_a_point_counts():

@@ -10,13 +10,10 @@ from bojax.fields.closed_form import Bumps, Step
 from bojax.fields.data import read_array
 from bojax.fields.measured import GridField, ScatteredField
 from bojax.fields.settings import Scattered
+from tests.arrays import f64
 from tests.parts import FILES
 
 EXTENT = (-1.0, 0.0, 3.0, 2.0)
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 BUMPS = Bumps(f64([1.0, -0.5]), f64([[0.0, 1.0], [2.0, 0.5]]), f64([0.7, 0.3]))

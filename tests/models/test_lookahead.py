@@ -11,15 +11,12 @@ from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.models.means import ConstantMean, LinearMean, ZeroMean
 from bojax.numerics.linalg import noise_floor
+from tests.arrays import f64
 from tests.reference.bridge import reference_kernel, reference_mean
 from tests.reference.gaussian_process import GP
 from tests.tiers import by_tier
 
 NUM_STAGES, SIZE = 3, 4
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 KERNELS = {

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from bojax.problems.walls import drive_until_blocked, is_free
+from tests.arrays import f64
 from tests.reference.monitoring import segments_touch_boxes
 
 DOMAIN = (0.0, 0.0, 4.0, 3.0)
 WALL = (1.0, 1.0, 2.0, 1.5)
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 @jax.jit

@@ -1,7 +1,6 @@
 """Rays against closed forms, and against those of C MuJoCo on a height field and on blocks."""
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from bojax.fields.closed_form import Bumps
 from bojax.films.robot_worlds import quadrotor_world
 from bojax.results.outline import Outline
 from bojax.robots.range_sensor import cone, ranges
+from tests.arrays import f64
 
 MAX_RANGE = 4.0
 DOMAIN = (0.0, 0.0, 3.0, 3.0)
@@ -24,10 +24,6 @@ PROP_WORLD = Outline(
     border=DOMAIN,
     blocks=[(*box, height) for box, height in zip(PROPS["boxes"], PROPS["heights"], strict=True)],
 )
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 def rotations(num, lean, seed=0):
