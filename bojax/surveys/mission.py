@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from collections import Counter
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +113,6 @@ class Mission:
         self.goal = goal_of(goal)
         self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
         self._medians = self.hyperparameters
-        self._log_prior: LogPrior | None = None
         self.counts: Counter[str] = Counter()
         self.route: Route | None = None
         self._x, self._y, self._time = NOTHING, np.zeros(0), -np.inf
@@ -251,9 +251,8 @@ class Mission:
         self._scale = scale if scale > 0.0 else 1.0
         with jax.enable_x64(True):
             key = jax.random.fold_in(jax.random.key(self.seed), RELEARNING + self.num_measurements)
-            if self._log_prior is None:  # one function for the whole mission: another one compiles anew
-                self._log_prior = log_normal_prior(*model_of(self._medians), SPREAD)
-            gp, _ = relearn(self._learned_from(), key, log_prior=self._log_prior, num_starts=2)
+            prior = _prior_about(self._medians)
+            gp, _ = relearn(self._learned_from(), key, log_prior=prior, num_starts=2)
             kernel: Any = gp.kernel
             found = kernel.kernel.lengthscale, kernel.variance, gp.noise_variance
         lengthscale, variance, noise = map(float, found)
@@ -391,6 +390,12 @@ _PLAIN = (
     "_scale", "_learned_at", "_plans",
 )  # fmt: skip
 """Attributes of a mission that are saved as JSON."""
+
+
+@lru_cache(maxsize=8)
+def _prior_about(medians: tuple[float, float, float]) -> LogPrior:
+    """The prior of all missions with these medians: each function compiles `relearn` anew."""
+    return log_normal_prior(*model_of(medians), SPREAD)
 
 
 def _position(name: str, at: Any) -> Waypoints:

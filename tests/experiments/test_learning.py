@@ -43,6 +43,7 @@ _start = jax.jit(lambda run, keys: jax.vmap(run.init, axis_name=LANES)(keys), co
 _advance = jax.jit(
     lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=REPEATABLY
 )
+_summaries = jax.jit(lambda run, carry: jax.vmap(run.summary)(carry))
 
 
 class History:
@@ -74,7 +75,7 @@ class History:
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def summary(self, lane=0) -> dict:
-        summaries = jax.vmap(self.run.summary)(self.carry)
+        summaries = _summaries(self.run, self.carry)
         return {name: np.asarray(values)[lane].item() for name, values in summaries.items()}
 
 

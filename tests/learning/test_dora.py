@@ -198,7 +198,7 @@ def test_the_action_chosen_before_the_update_is_taken():
     steps = {name: rows[:1] for name, rows in transitions(1).items()} | {"terminated": np.zeros(1, bool)}
     after, (next_action,) = learn(learner, state, steps, exploring())
     observation = jnp.asarray(steps["next_observation"][0])
-    act = eqx.filter_jit(learner.act)
+    act, values = eqx.filter_jit(learner.act), eqx.filter_jit(learner.values)
     for seed in range(5):
         action, _ = act(jax.random.key(seed), after, observation, exploring())
         np.testing.assert_array_equal(action, state.actions[next_action])
@@ -208,12 +208,11 @@ def test_the_action_chosen_before_the_update_is_taken():
             act(jax.random.key(0), held, observation, exploring(*each))[0] for each in ((), (0.0, False))
         ]
         np.testing.assert_array_equal(actions[0], state.actions[chosen])
-        best = max(float(learner.values(after, observation, a)[0]) for a in state.actions)
-        np.testing.assert_allclose(learner.values(after, observation, actions[1])[0], best, rtol=1e-12)
+        best = max(float(values(after, observation, a)[0]) for a in np.asarray(state.actions))
+        np.testing.assert_allclose(values(after, observation, actions[1])[0], best, rtol=1e-12)
     transition = Transition(**{name: jnp.asarray(rows) for name, rows in steps.items()})
-    ended = learner.end_episode(
-        jax.random.key(0), after, Episode(transition, jnp.asarray(1, jnp.int32)), exploring()
-    )
+    episode = Episode(transition, jnp.asarray(1, jnp.int32))
+    ended = eqx.filter_jit(learner.end_episode)(jax.random.key(0), after, episode, exploring())
     assert int(ended.next_action) == -1
 
 

@@ -1,5 +1,6 @@
 """A sparse posterior is exact if all observations are inducing points, else the equation of its source."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,39 +18,43 @@ def data(number, seed=0):
     return x, np.sin(2.0 * x[:, 0]) + 0.3 * x[:, 1] + 0.1 * rng.standard_normal(number)
 
 
-def sparse(x, y, inducing):
-    return sparse_posterior(KERNEL, jnp.asarray(NOISE), *map(jnp.asarray, (x, y, inducing)))
+@jax.jit
+def sparse(x, y, inducing, count=None):
+    """Mean and variance of the sparse posterior at the queries."""
+    return sparse_posterior(KERNEL, jnp.asarray(NOISE), x, y, inducing, count).predict(jnp.asarray(QUERIES))
+
+
+@jax.jit
+def exact(x, y):
+    return GaussianProcess.fit(KERNEL, NOISE, x, y).predict(QUERIES)
 
 
 def test_it_is_exact_with_an_inducing_point_for_each_observation():
     x, y = data(60)
-    exact = GaussianProcess.fit(KERNEL, NOISE, x, y)
-    found = sparse(x, y, x)
-    for one, other in zip(found.predict(jnp.asarray(QUERIES)), exact.predict(QUERIES), strict=True):
+    for one, other in zip(sparse(x, y, x), exact(x, y), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)
 
 
 def test_it_is_the_equation_of_its_source():
     x, y = data(300)
     inducing = spread_inducing(x, 0.7, 50)
-    gram = np.asarray(KERNEL.gram(jnp.asarray(inducing), jnp.asarray(inducing))) + 1.5 * JITTER * np.eye(50)
-    across = np.asarray(KERNEL.gram(jnp.asarray(inducing), jnp.asarray(x)))
-    at = np.asarray(KERNEL.gram(jnp.asarray(inducing), jnp.asarray(QUERIES)))
+    grams = jax.jit(lambda *inputs: [KERNEL.gram(jnp.asarray(inducing), each) for each in inputs])
+    gram, across, at = map(np.asarray, grams(inducing, x, QUERIES))
+    gram = gram + 1.5 * JITTER * np.eye(50)
     sigma = np.linalg.inv(gram + across @ across.T / NOISE)
     mean = at.T @ sigma @ across @ y / NOISE
     variance = 1.5 - np.sum(at * np.linalg.solve(gram, at), axis=0) + np.sum(at * (sigma @ at), axis=0)
-    found = sparse(x, y, inducing).predict(jnp.asarray(QUERIES))
+    found = sparse(x, y, inducing)
     np.testing.assert_allclose(found[0], mean, atol=1e-5)
     np.testing.assert_allclose(found[1], variance, atol=1e-5)
 
 
 def test_more_inducing_points_come_closer_to_the_exact_posterior():
     x, y = data(1500)
-    exact = GaussianProcess.fit(KERNEL, NOISE, x, y).predict(QUERIES)
-    errors = []
+    expected, errors = np.stack(exact(x, y)), []
     for number in (40, 120, 360):
-        found = sparse(x, y, spread_inducing(x, 0.7, number)).predict(jnp.asarray(QUERIES))
-        errors.append(max(float(jnp.abs(one - other).max()) for one, other in zip(found, exact, strict=True)))
+        found = sparse(x, y, spread_inducing(x, 0.7, number))
+        errors.append(np.abs(np.stack(found) - expected).max())
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2] and errors[2] < 0.02
 
 
@@ -65,9 +70,6 @@ def test_rows_past_the_count_are_no_observations():
     x, y = data(100)
     inducing = spread_inducing(x, 0.7, 30)
     padded = np.concatenate([x, np.full((28, 2), 3.0)]), np.concatenate([y, np.full(28, 99.0)])
-    count = jnp.asarray(100, jnp.int32)
-    found = sparse_posterior(KERNEL, jnp.asarray(NOISE), *map(jnp.asarray, (*padded, inducing)), count)
-    for one, other in zip(
-        found.predict(jnp.asarray(QUERIES)), sparse(x, y, inducing).predict(jnp.asarray(QUERIES)), strict=True
-    ):
+    found = sparse(*padded, inducing, jnp.asarray(100, jnp.int32))
+    for one, other in zip(found, sparse(x, y, inducing), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-9)

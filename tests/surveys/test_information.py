@@ -1,5 +1,7 @@
 """The error that a route leaves equals the posterior of scikit-learn given all samples at once."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,9 +19,21 @@ GRID = np.stack(np.meshgrid(np.linspace(0, 4, 5), np.linspace(0, 4, 5)), axis=-1
 DATA = np.array([[2.0, 3.0], [3.5, 3.5], [0.2, 2.0]])
 
 
+@jax.jit
+def errors_of_grid():
+    return PointErrors.of(belief(DATA), jnp.asarray(GRID))
+
+
+@partial(jax.jit, static_argnums=1)
 def belief(data, capacity=8):
     kernel = Scaled(Matern52(jnp.asarray(LENGTHSCALE)), jnp.asarray(VARIANCE))
     return GaussianProcess.fit(kernel, NOISE, data, np.zeros(len(data)), capacity=capacity)
+
+
+@partial(jax.jit, static_argnums=2)
+def left_after(errors, route, number):
+    """The error after `number` samples of a route."""
+    return errors.after(*samples_along(route, SPACING, number))
 
 
 def walked(route, distances):
@@ -38,7 +52,7 @@ def deviation(samples):
 
 def test_samples_lie_at_their_distances_along_the_route():
     distances = np.array([0.0, 0.3, 2.5, 3.9, 4.2, 6.0, 99.0])
-    found = points_at(jnp.asarray(ROUTE), jnp.asarray(distances))
+    found = jax.jit(points_at)(jnp.asarray(ROUTE), jnp.asarray(distances))
     np.testing.assert_allclose(found, walked(ROUTE, distances), atol=1e-12)
 
 
@@ -60,24 +74,19 @@ def test_weights_choose_where_the_error_counts():
 
 
 def test_samples_beyond_the_end_of_a_route_teach_nothing():
-    errors = PointErrors.of(belief(DATA), jnp.asarray(GRID))
-    route = jnp.asarray(ROUTE)
+    errors, route = errors_of_grid(), jnp.asarray(ROUTE)
     on_route = int(float(path_length(route)) / SPACING)
-    np.testing.assert_allclose(
-        errors.after(*samples_along(route, SPACING, on_route + 7)),
-        errors.after(*samples_along(route, SPACING, on_route)),
-        rtol=1e-12,
-    )
+    beyond, on = (left_after(errors, route, number) for number in (on_route + 7, on_route))
+    np.testing.assert_allclose(beyond, on, rtol=1e-12)
 
 
 def test_the_gradient_of_the_loss_is_its_slope():
-    errors = PointErrors.of(belief(DATA), jnp.asarray(GRID))
+    errors = errors_of_grid()
 
-    @jax.jit
     def loss(route):
-        return errors.after(*samples_along(route, SPACING, 14))
+        return left_after(errors, route, 14)
 
-    gradient = jax.grad(loss)(jnp.asarray(ROUTE))
+    gradient = jax.jit(jax.grad(loss))(jnp.asarray(ROUTE))
     step = 1e-6
     for index in np.ndindex(ROUTE.shape):
         away = np.zeros_like(ROUTE)
@@ -87,13 +96,10 @@ def test_the_gradient_of_the_loss_is_its_slope():
 
 
 def test_a_batch_of_routes_is_a_loop_over_them():
-    errors = PointErrors.of(belief(DATA), jnp.asarray(GRID))
-    routes = jnp.asarray(np.stack([ROUTE, ROUTE[::-1], ROUTE + 0.3]))
-
-    def loss(route):
-        return errors.after(*samples_along(route, SPACING, 14))
-
-    np.testing.assert_allclose(jax.vmap(loss)(routes), [loss(route) for route in routes], rtol=1e-12)
+    errors, routes = errors_of_grid(), np.stack([ROUTE, ROUTE[::-1], ROUTE + 0.3])
+    batch = jax.jit(jax.vmap(lambda route: left_after(errors, route, 14)))(routes)
+    each = [left_after(errors, jnp.asarray(route), 14) for route in routes]
+    np.testing.assert_allclose(batch, each, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

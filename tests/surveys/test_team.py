@@ -5,12 +5,13 @@ import pytest
 
 shapely = pytest.importorskip("shapely")
 
+import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from bojax.areas.area import Area  # noqa: E402
 from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
 from bojax.models.kernels import Matern52, Scaled  # noqa: E402
-from bojax.surveys.information import expected_error, samples_along, samples_of_all  # noqa: E402
+from bojax.surveys.information import PointErrors, left_by, samples_along, samples_of_all  # noqa: E402
 from bojax.surveys.lawnmower import Ground  # noqa: E402
 from bojax.surveys.polylines import length_of  # noqa: E402
 from bojax.surveys.route import RouteOptions, plan_routes, stays_inside  # noqa: E402
@@ -19,7 +20,7 @@ from bojax.surveys.team import least_distance, parts_of, split_points, team_lawn
 HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
 POND = Area.rectangle(0.0, 0.0, 6.0, 6.0).without([(HOLE,)])
 GROUND = Ground.of(POND)
-QUICK = RouteOptions(waypoints=12, restarts=3, steps=60, models=2)
+QUICK = RouteOptions(waypoints=12, restarts=3, steps=30, models=2)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
@@ -61,9 +62,9 @@ def test_the_least_distance_is_that_at_equal_times():
 
 def test_samples_of_a_team_are_those_of_its_robots():
     routes = jnp.asarray([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 1.0], [2.0, 1.0]]])
-    samples, is_taken = samples_of_all(routes, 1.0, 4)
+    samples, is_taken = jax.jit(lambda: samples_of_all(routes, 1.0, 4))()
     for robot in (0, 1):
-        alone, taken = samples_along(routes[robot], 1.0, 4)
+        alone, taken = jax.jit(lambda robot=robot: samples_along(routes[robot], 1.0, 4))()
         np.testing.assert_array_equal(samples[robot::2], alone)
         np.testing.assert_array_equal(is_taken[robot::2], taken)
     np.testing.assert_array_equal(is_taken[1::2], [True, True, False, False])
@@ -81,8 +82,9 @@ def test_two_robots_learn_more_than_one_and_stay_apart():
         np.testing.assert_allclose(route[0], start)
         assert length_of(route) <= 10.0 * (1.0 + 1e-9) and stays_inside(route, POND)
     # The error of both routes is not that of the first one alone.
-    grid = jnp.asarray(POND.grid(0.4))
-    single = [expected_error(belief, jnp.asarray(each), grid, 0.3)[1][-1] for each in found.routes]
+    grid, samples = jnp.asarray(POND.grid(0.4)), jax.jit(lambda route: samples_along(route, 0.3, 33))
+    before = jax.jit(lambda: PointErrors.of(belief, grid))()
+    single = [left_by(before, *samples(jnp.asarray(each)))[0][-1] for each in found.routes]
     assert min(single) > 1.2 * found.error
 
 
@@ -90,4 +92,5 @@ def test_a_separation_that_no_candidate_keeps_is_one_line():
     kernel = Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0))
     belief = GaussianProcess.prior(kernel, 0.01, 0, 2)
     with pytest.raises(ValueError, match="separation: got 9 m, which no candidate keeps; allowed: a smaller"):
-        plan_routes(belief, POND, 30.0, [None] * 2, [None] * 2, spacing=0.3, separation=9.0, options=QUICK)
+        plan_routes(belief, POND, 30.0, [[0.5, 0.5], [5.5, 0.5]], [None] * 2, spacing=0.3, separation=9.0,
+                    options=QUICK)  # fmt: skip
