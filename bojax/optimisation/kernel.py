@@ -1,5 +1,7 @@
 """A kernel over positions of a space, which sees the values that positions stand for."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,16 @@ def mixed_matern52(lengthscale: Float[Array, "A"], axes: tuple[Axis, ...]) -> Ke
         lengthscale: In units of half a range, one for each axis.
         axes: The axes, whose boxes positions fill in [-1, 1].
     """
-    return _MixedMatern52(lengthscale, axes)
+    return _MixedMatern52(lengthscale, tuple(map(_without_names, axes)))
+
+
+def _without_names(axis: Axis) -> Axis:
+    """The axis as far as the covariance depends on it: other spaces of this form share a compiled program."""
+    if isinstance(axis, Choice):
+        return Choice("", tuple(range(axis.width)))
+    if axis.is_integer:
+        return dataclasses.replace(axis, key="")
+    return Range("", -1.0, 1.0, is_log=False, is_integer=False)
 
 
 class _MixedMatern52(Kernel):

@@ -11,17 +11,37 @@ from bojax.envs.settings import Belief, MountainCar
 from bojax.experiments.settings import Learning
 from bojax.problems.pomdp.settings import Hallway, LightDark, PomdpMountainCar
 from bojax.problems.state_space import COLLAPSES
-from tests.parts import tiny
 from tests.refusals import assert_refused
 
 CAR = {"problem": PomdpMountainCar(num_particles=50), "low": (-1.2, -0.07), "high": (0.6, 0.07)}
 
 
+@eqx.filter_jit
+def reset(env, key):
+    return env.reset(key)
+
+
+@eqx.filter_jit
+def step(env, key, state, action):
+    return env.step(key, state, action)
+
+
+@eqx.filter_jit
+def begun(run, key):
+    return run.init(key)
+
+
+@eqx.filter_jit
+def advanced(run, carry):
+    carry = run.advance(carry)[0]
+    return carry, run.summary(carry)
+
+
 def test_what_is_observed_summarises_the_belief():
     env = build(Belief(**CAR))
-    state = env.reset(jax.random.key(0))
-    for step in range(3):
-        state, after = env.step(jax.random.key(step), state, jnp.ones(1))
+    state = reset(env, jax.random.key(0))
+    for time in range(3):
+        state, after = step(env, jax.random.key(time), state, jnp.ones(1))
     weights = np.exp(np.asarray(state.belief.log_weights))
     mean = weights @ np.asarray(state.belief.states)
     spread = np.sqrt(weights @ (np.asarray(state.belief.states) - mean) ** 2)
@@ -39,9 +59,9 @@ def test_the_reading_alone_is_the_last_observation():
     env = build(
         Belief(problem=Hallway(num_particles=20), features="reading", low=(0.0, 0.0), high=(1.0, 1.0))
     )
-    state = env.reset(jax.random.key(1))
+    state = reset(env, jax.random.key(1))
     np.testing.assert_array_equal(env.observe(state), [0.5, 0.5])
-    _, after = env.step(jax.random.key(2), state, jnp.ones(1))
+    _, after = step(env, jax.random.key(2), state, jnp.ones(1))
     assert set(np.asarray(after.observation).tolist()) <= {0.0, 1.0}
 
 
@@ -50,34 +70,34 @@ def test_collapses_are_counted_in_training(sensor_noise, collapses):
     car = CAR["problem"].model_copy(update={"sensor_noise": sensor_noise, "max_steps": 4})
     settings = {
         "env": Belief(**(CAR | {"problem": car})),
-        "learner": tiny("learner", "emu-q"),
+        "learner": "random",
         "episodes": 2,
         "tests": 1,  # which count for nothing
     }
     run = build(Learning(**settings))
     assert COLLAPSES in run.tables["runs"]
-    carry, advance = run.init(jax.random.key(0)), eqx.filter_jit(lambda carry: run.advance(carry)[0])
+    carry = begun(run, jax.random.key(0))
     for _ in range(3):  # the third finds the run done
-        carry = advance(carry)
-    assert int(run.summary(carry)["collapses"]) == collapses
+        carry, summary = advanced(run, carry)
+    assert int(summary["collapses"]) == collapses
 
 
 def test_a_stop_at_the_right_door_succeeds():
     env = build(Belief(problem=Hallway(num_particles=20)))
-    state = env.reset(jax.random.key(0))
+    state = reset(env, jax.random.key(0))
     for position, reward, success in ((7.2, 1.0, True), (4.0, -1.0, False)):
         at = state.__class__(jnp.full(1, position), state.belief, state.reading)
-        _, after = env.step(jax.random.key(3), at, jnp.zeros(1))
+        _, after = step(env, jax.random.key(3), at, jnp.zeros(1))
         assert (float(after.reward), bool(after.success), bool(after.terminated)) == (reward, success, True)
-    _, after = env.step(jax.random.key(3), state, jnp.ones(1))
+    _, after = step(env, jax.random.key(3), state, jnp.ones(1))
     assert (float(after.reward), bool(after.terminated)) == (0.0, False)
 
 
 def test_the_list_of_a_problem_is_a_discrete_space():
     env = build(Belief(problem=LightDark(num_particles=20), low=(-60.0,), high=(60.0,)))
     assert env.action_space.num == 5
-    state = env.reset(jax.random.key(0))
-    after, _ = env.step(jax.random.key(1), state, jnp.asarray(4, jnp.int32))
+    state = reset(env, jax.random.key(0))
+    after, _ = step(env, jax.random.key(1), state, jnp.asarray(4, jnp.int32))
     np.testing.assert_allclose(after.world, state.world + 10.0)
 
 
@@ -87,8 +107,8 @@ def test_without_noise_the_car_is_the_environment_mountain_car():
     for _ in range(20):
         state = jnp.asarray(rng.uniform([-1.2, -0.07], [0.6, 0.07]))
         action = jnp.asarray(rng.uniform(-1.0, 1.0, 1))
-        after, reward, terminated = car.step(jax.random.key(0), state, action)
-        expected, time_step = env.step(jax.random.key(0), state, action)
+        after, reward, terminated = step(car, jax.random.key(0), state, action)
+        expected, time_step = step(env, jax.random.key(0), state, action)
         np.testing.assert_array_equal(after, expected)
         assert float(reward) == float(time_step.reward) and bool(terminated) == bool(time_step.terminated)
 

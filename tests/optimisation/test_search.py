@@ -1,5 +1,7 @@
 """A search finds the best settings from noisy scores, and its proposals follow from what it was told."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ def objective(values) -> float:
     return float(np.exp(-((np.log10(rate / 0.05)) ** 2) - (weight - 0.5) ** 2))
 
 
+@cache
 def searched(seed: int, rounds: int, batch: int = 6, noise: float = 0.2):
     """A search after some rounds of scores with noise, and the points that it proposed."""
     random, points, scores = np.random.default_rng(seed), [], []
@@ -47,9 +50,9 @@ POSITION = [
 
 @pytest.mark.parametrize("seed", by_tier(range(4), normal=[3]))
 def test_without_noise_the_best_point_is_the_best_one_tried(seed):
-    search, points, scores = Search(POSITION, seed, 8, CAPACITY), [], []
-    for number in range(5):
-        proposed = search.propose(8)
+    search, points, scores = Search(POSITION, seed, 6, CAPACITY), [], []
+    for number in range(7):
+        proposed = search.propose(6)
         observed = [negative_branin(*point) for point in proposed]
         search.tell(proposed, observed)
         points, scores = points + proposed, scores + observed
@@ -66,14 +69,14 @@ def negative_branin(x: float, y: float) -> float:
 
 
 def test_the_posterior_agrees_with_the_function_where_the_search_has_been():
-    search, points, _ = searched(seed=1, rounds=8)
+    search, points, _ = searched(0, rounds=8)
     mean, std = search.predict(points)
     error = np.abs(mean - [objective(point) for point in points])
     assert np.mean(error < 3.0 * std) > 0.9 and np.median(std) < 0.2
 
 
 def test_the_same_scores_give_the_same_proposals():
-    search, points, scores = searched(seed=3, rounds=2)
+    search, points, scores = searched(3, rounds=2)
     other = Search([RATE, WEIGHT], 3, 6, CAPACITY)
     for first in (0, 6):
         other.tell(points[first : first + 6], scores[first : first + 6])
@@ -91,13 +94,14 @@ def test_the_first_batch_fills_the_ranges():
 
 
 def test_points_of_a_batch_are_apart_from_each_other():
-    search, _, _ = searched(seed=0, rounds=3)
+    search, _, _ = searched(0, rounds=3)
     proposed = np.asarray(search.propose(6))
     positions = np.stack([np.log10(proposed[:, 0]) / 1.5, proposed[:, 1] / 2.0], axis=1)
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     assert distances[np.triu_indices(6, 1)].min() > 1e-3
 
 
+@pytest.mark.slow
 def test_integers_are_tried_once_until_none_is_left():
     search = Search([DEPTH], 0, 3, 12)
     tried = []
@@ -110,6 +114,7 @@ def test_integers_are_tried_once_until_none_is_left():
     assert search.propose(3) == []
 
 
+@pytest.mark.slow
 def test_a_point_without_a_score_is_not_tried_again():
     search = Search([DEPTH], 0, 3, 12)
     missing, *known = search.propose(3)
