@@ -7,11 +7,16 @@ import pytest
 pytest.importorskip("shapely")
 
 from bojax.cli.main import main  # noqa: E402
-from bojax.surveys.league import cells  # noqa: E402
+from bojax.surveys.league import cells, fields  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def all_fields():
+    return fields.league()
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch):
+def quick(monkeypatch, all_fields):
     """Pieces with made-up errors, and a list of those that were computed."""
     computed = []
 
@@ -28,6 +33,7 @@ def quick(monkeypatch):
         }
 
     monkeypatch.setattr(cells.Cell, "result", result)
+    monkeypatch.setattr(fields, "league", lambda: all_fields)
     return computed
 
 

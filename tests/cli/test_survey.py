@@ -16,7 +16,7 @@ from bojax.cli.main import main  # noqa: E402
 from bojax.config.sweep import load_config, load_sweep  # noqa: E402
 from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.engine.build import build  # noqa: E402
-from bojax.surveys import planning  # noqa: E402
+from bojax.surveys import planning, simulated  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
 from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
@@ -25,9 +25,12 @@ from tests.fields.test_raster_files import write_tif  # noqa: E402
 
 @pytest.fixture(autouse=True)
 def little_work(monkeypatch):
-    """Few steps of few routes: what the optimiser finds is tested in tests/surveys."""
-    options = partial(RouteOptions, restarts=5, steps=40, models=2)
+    """Few steps of few routes on coarse grids: what the optimiser finds is tested in tests/surveys."""
+    options = partial(RouteOptions, restarts=5, steps=10, models=2)
     monkeypatch.setattr(planning, "RouteOptions", options)
+    monkeypatch.setattr(planning, "GRID_POINTS", 300)
+    monkeypatch.setattr(planning, "MOST_SAMPLES", 120)
+    monkeypatch.setattr(simulated, "CELLS", 12)
 
 
 def with_hole() -> np.ndarray:
@@ -144,12 +147,13 @@ def test_a_region_counts_alone(tmp_path):
     assert survey["goal"]["meaning"] == "over the region"
 
 
-def test_a_threshold_weighs_places_by_an_earlier_survey(tmp_path):
+def test_a_threshold_weighs_places_by_an_earlier_survey(tmp_path, monkeypatch):
+    monkeypatch.setattr(planning, "GRID_POINTS", 1500)  # few places may be at the threshold
     x, y = np.random.default_rng(1).uniform(0.0, 1.0, (2, 200)) * [[300.0], [200.0]]
     rows = "\n".join(f"{a},{b},{a / 10.0 + np.sin(b / 30.0)}" for a, b in zip(x, y, strict=True))
     (tmp_path / "pilot.csv").write_text("x,y,z\n" + rows)
     out = tmp_path / "out"
-    goal_survey(out, "--goal", "threshold=5", "--prior", str(tmp_path / "pilot.csv"))
+    goal_survey(out, "--goal", "threshold=5", "--prior", str(tmp_path / "pilot.csv"), "--lawnmower")
     with np.load(out / "survey.npz") as arrays:
         weights, across = arrays["weights"], arrays["grid"][:, 0]
     assert weights.mean() == pytest.approx(1.0)

@@ -41,7 +41,7 @@ def run(code, folder):
     return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
 
 
-def test_functions_run_without_posix(tmp_path):
+def test_functions_and_commands_that_lock_nothing_run_without_posix(tmp_path):
     write_results(tmp_path / "sweep", runs=20)
     code = """
 import bojax
@@ -52,14 +52,6 @@ assert bojax.part("kcbts", iterations=5).iterations == 5
 from bojax.engine.devices import why_not_private
 from pathlib import Path
 assert why_not_private(Path("cache")) is None
-"""
-    ended = run(code, tmp_path)
-    assert ended.returncode == 0, ended.stderr
-
-
-def test_commands_that_lock_nothing_run_without_posix(tmp_path):
-    write_results(tmp_path / "sweep", runs=20)
-    code = """
 from bojax.cli.main import main
 commands = [
     ["list", "kcbts"], ["report", "sweep"], ["status", "sweep"], ["export", "sweep", "--to", "csv"],
@@ -69,6 +61,7 @@ commands = [
 print([main(words) for words in commands])
 """
     ended = run(code, tmp_path)
+    assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines()[-1:] == ["[0, 0, 0, 0, 0, 0]"], ended.stderr
     assert (tmp_path / "page" / "comparison.html").exists() and (tmp_path / "lake" / "report.html").exists()
 

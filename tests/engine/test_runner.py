@@ -131,13 +131,14 @@ def rows_and_learners(group, experiment, layout: Layout) -> tuple[dict[str, np.n
 
 
 PARKING = "parking", "planner.iterations=20", "problem.max_steps=4"
+DISCRETE = *PARKING, "planner=sbo"
 MOUNTAIN_CAR = "mountain-car", "episodes=5", "env.max_steps=200"
 
 
 @pytest.mark.parametrize(
     "words",
-    by_tier([("chain",), PARKING, MOUNTAIN_CAR], normal=[("chain",), PARKING]),
-    ids=lambda words: words[0],
+    by_tier([("chain",), PARKING, DISCRETE, MOUNTAIN_CAR], normal=[("chain",), DISCRETE]),
+    ids=lambda words: words[-1],
 )
 def test_runs_of_shipped_experiments_do_not_depend_on_the_layout(words):
     """Learners are saved as their runs end, from lanes that other runs have had before."""
