@@ -24,13 +24,9 @@ from bojax.planning.myopic import MyopicPlanner
 from bojax.problems.monitoring import FieldMonitoring
 from bojax.problems.objectives import GradientObjective, UncertaintyObjective, ValueObjective
 from bojax.problems.parking import Parking
+from tests.arrays import f64
 from tests.motions import families
 from tests.reference import parking as reference
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
-
 
 ACQUISITIONS = {
     "ucb": UpperConfidenceBound(f64(3.0)),

@@ -21,6 +21,7 @@ from bojax.problems.settings import HillyTerrain, IndoorProps, Range, TwoPits
 from bojax.problems.vehicles import settings as vehicles
 from bojax.results.tables import to_arrow
 from bojax.robots.quaternions import rotation_matrix
+from tests.arrays import f64
 from tests.refusals import assert_refused
 
 LANES, SIZE = 48, 8
@@ -28,10 +29,6 @@ ALTITUDE = 1.4
 PATH_STEPS, REST_STEPS = 300, 250
 VEHICLE = vehicles.Quadrotor(altitude=ALTITUDE, path_steps=PATH_STEPS, rest_steps=REST_STEPS)
 NOISE = (0.02, 0.02, 0.03)
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 @pytest.fixture(scope="module")

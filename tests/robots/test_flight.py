@@ -14,6 +14,7 @@ from bojax.problems.vehicles.settings import Quadrotor
 from bojax.robots.flight import Reference, control, reference_trajectory
 from bojax.robots.models import packaged
 from bojax.robots.quaternions import rotate_yaw, rotation_matrix, yaw_of
+from tests.arrays import f64
 
 STEP, PATH, REST = 0.01, 300, 250
 ALTITUDE = 1.2
@@ -21,10 +22,6 @@ ALTITUDE = 1.2
 
 def f32(value):
     return jnp.asarray(value, jnp.float32)
-
-
-def f64(value):
-    return jnp.asarray(value, jnp.float64)
 
 
 @functools.cache
