@@ -18,6 +18,7 @@ from bojax.planning.proposals import RandomProposal
 from bojax.problems.actions import Box, Discrete
 from bojax.problems.particles import initial
 from bojax.problems.state_space import StateProblem
+from tests.reference import belief_search as reference
 
 RECOMMENDATION = one_of("value", "visits")
 
@@ -74,15 +75,15 @@ def search(planner, key, problem, belief):
     return planner.search(key, problem, belief)
 
 
-def root_content(planner, key, problem, belief):
-    """States of the root of PFT, and which are alive."""
-    root = _root(planner, key, problem, belief)
-    return np.asarray(root.states), np.asarray(root.alive)
-
-
-@eqx.filter_jit
-def _root(planner, key, problem, belief):
-    return planner.root(key, problem, belief)
+def reference_tree(planner, key, problem, belief):
+    """The root of the tree of a NumPy reference, from the draws of a planner."""
+    draws = Draws(key, problem, belief, planner)
+    settings = SETTINGS | {"discount": 0.9, "num_actions": getattr(problem.actions, "count", None)}
+    if isinstance(planner, POMCPOW):
+        return reference.POMCPOW(draws, **settings).search(None, planner.iterations)
+    root = eqx.filter_jit(planner.root)(draws.root_key, problem, belief)
+    content = np.asarray(root.states), np.asarray(root.alive)
+    return reference.PFT(draws, **settings).search(content, planner.iterations)
 
 
 SETTINGS = {

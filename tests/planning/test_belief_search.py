@@ -13,21 +13,19 @@ from bojax.planning.leaf_values import Rollout, StateValue
 from bojax.planning.proposals import VoronoiProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Balls, Box, Discrete, Mixed
-from bojax.problems.particles import Particles, initial
-from tests.planning.belief_searches import SETTINGS, Draws, drift, number, planner
+from bojax.problems.particles import Particles
+from tests.planning import belief_searches
+from tests.planning.belief_searches import SETTINGS, belief_of, drift, number, planner, reference_tree
 from tests.reference import belief_search as reference
+from tests.tiers import by_tier
 
 KEY = 5  # of a search
 ITERATIONS = 150
 """Of most searches, which share a program for each planner."""
 
 
-def belief_of(problem, num=50, seed=1):
-    return initial(problem, jax.random.key(seed), num)
-
-
-def search(planner, problem, belief, seed=KEY):
-    return eqx.filter_jit(planner.search)(jax.random.key(seed), problem, belief)
+def search(planner, problem, belief):
+    return belief_searches.search(planner, jax.random.key(KEY), problem, belief)
 
 
 def compare(tree, node, expected):
@@ -53,23 +51,14 @@ def compare(tree, node, expected):
         ("pft", {"discrete": True, "leaf_value": StateValue()}),
         ("pft", {"sensor_noise": 0.0}),  # no particle has a weight
         ("pomcpow", {}),
-        ("pomcpow", {"discrete": True, "leaf_value": StateValue()}),
+        pytest.param("pomcpow", {"discrete": True, "leaf_value": StateValue()}, marks=pytest.mark.slow),
     ],
 )
 def test_the_tree_is_that_of_the_reference(name, changes):
-    discrete = changes.get("discrete", False)
-    problem = drift(changes.get("sensor_noise", 0.5), discrete=discrete)
+    problem = drift(changes.get("sensor_noise", 0.5), discrete=changes.get("discrete", False))
     belief, search_planner = belief_of(problem), planner(name, ITERATIONS, **changes)
     tree = search(search_planner, problem, belief)
-
-    draws = Draws(jax.random.key(KEY), problem, belief, search_planner)
-    settings = SETTINGS | {"discount": 0.9, "num_actions": 3 if discrete else None}
-    if name == "pft":
-        root = search_planner.root(draws.root_key, problem, belief)
-        content = np.asarray(root.states), np.asarray(root.alive)
-        expected = reference.PFT(draws, **settings).search(content, ITERATIONS)
-    else:
-        expected = reference.POMCPOW(draws, **settings).search(None, ITERATIONS)
+    expected = reference_tree(search_planner, jax.random.key(KEY), problem, belief)
     assert compare(tree, ROOT, expected) > 60
     best = int(jnp.argmax(tree.mean_returns(jnp.asarray(ROOT))))
     visited = [action for action in expected.actions if action.visits]
@@ -127,6 +116,7 @@ class DriftDraws:
         return np.exp(-0.5 * ((observation[0] - state[0]) / 0.5) ** 2)
 
 
+@pytest.mark.slow
 def test_many_reservoirs_search_as_published_lists_do():
     problem, num = drift(), 128
     belief = belief_of(problem)
@@ -236,7 +226,7 @@ def test_a_lane_of_a_batch_is_a_search_of_its_own(name):
     in_batch = jax.vmap(lambda key, belief: one.search(key, problem, belief), axis_name=LANES)
     batch = eqx.filter_jit(in_batch)(jnp.copy(keys), together)
     for lane, belief in enumerate(beliefs):
-        tree = eqx.filter_jit(one.search)(keys[lane], problem, belief)
+        tree = belief_searches.search(one, keys[lane], problem, belief)
         np.testing.assert_array_equal(batch.totals[lane, ..., 0], tree.totals[..., 0])
         np.testing.assert_allclose(batch.totals[lane, ..., 1], tree.totals[..., 1], rtol=1e-9, atol=1e-9)
 
@@ -255,7 +245,7 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
         return jax.vmap(of_key)(keys)[:, 0]
 
     proposed = np.asarray(propose(proposal))
-    means = np.asarray(tree.mean_returns(jnp.asarray(ROOT, jnp.int32)))
+    means = np.asarray(eqx.filter_jit(type(tree).mean_returns)(tree, jnp.asarray(ROOT, jnp.int32)))
     actions = np.asarray(tree.parameters[tree.children[ROOT], 0])[np.isfinite(means)]
     best = actions[np.argmax(means)]
     nearest = actions[np.argmin(np.abs(proposed[:, None] - actions), axis=1)]
@@ -277,12 +267,16 @@ def test_actions_of_a_policy_are_encoded_as_parameters():
     box = Box(-2.0 * unit, 3.0 * unit)
     spaces = [box, Discrete(values), Mixed(box, jnp.asarray([0.0, 1.0, 5.0])), Balls(number(1.5), 2, 2)]
     for space in spaces:
-        for seed in range(10):
-            action = space.decode(space.sample(jax.random.key(seed)))
-            np.testing.assert_allclose(space.decode(space.encode(action)), action, atol=1e-12)
+
+        def drawn(key, space=space):
+            action = space.decode(space.sample(key))
+            return action, space.decode(space.encode(action))
+
+        actions, again = jax.jit(jax.vmap(drawn))(jax.random.split(jax.random.key(0), 10))
+        np.testing.assert_allclose(again, actions, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["pft", "pomcpow"])
+@pytest.mark.parametrize("name", by_tier(["pft", "pomcpow"], normal=["pft"]))
 def test_the_first_action_of_the_root_is_that_of_the_policy(name):
     problem = drift()
     policy = lambda problem, key, belief: jnp.full((1,), 0.125)  # noqa: E731
@@ -305,7 +299,7 @@ def test_rollouts_follow_their_policy_to_the_horizon_and_no_further():
 
 def test_a_voronoi_proposal_has_a_variance_for_each_parameter():
     problem = drift()
-    tree = search(planner("pft", 20), problem, belief_of(problem))
+    tree = search(planner("pft", ITERATIONS), problem, belief_of(problem))
     proposal = VoronoiProposal(number(0.0), number([0.1, 0.2]), number(0.0), 4)
     with pytest.raises(ValueError, match=r"planner\.proposal\.variance: got 2 numbers; allowed: 1"):
         proposal(jax.random.key(0), problem.actions, tree, jnp.asarray(ROOT), tree.totals[ROOT])

@@ -47,8 +47,8 @@ def optimal():
     return grid, values
 
 
-class OptimalValue(LeafValue):
-    """The optimal value of the belief that the states are."""
+class BeliefValue(LeafValue):
+    """A value of the belief that the states are, interpolated."""
 
     grid: jax.Array
     values: jax.Array
@@ -57,11 +57,10 @@ class OptimalValue(LeafValue):
         return jnp.interp(jnp.mean(states), self.grid, self.values)
 
 
-class Constant(LeafValue):
+def constant():
     """The same value for every belief."""
-
-    def __call__(self, key, problem, states, alive, remaining):
-        return number(VALUE)
+    grid, values = optimal()
+    return BeliefValue(jnp.asarray(grid), jnp.asarray(np.full(len(values), VALUE)))
 
 
 @cache
@@ -111,7 +110,7 @@ OPENED = {0: 0, 1: 0, -1: 0, 2: 1, -2: 2}
 @pytest.mark.parametrize("net_hearings", by_tier(OPENED, normal=[0, 2]))
 def test_pft_listens_until_it_has_heard_the_tiger_twice(net_hearings):
     grid, values = optimal()
-    forest = trees("pft", net_hearings, OptimalValue(jnp.asarray(grid), jnp.asarray(values)))
+    forest = trees("pft", net_hearings, BeliefValue(jnp.asarray(grid), jnp.asarray(values)))
     chosen = root_values(forest).argmax(axis=1)
     assert np.sum(chosen == OPENED[net_hearings]) == NUM_LANES
     if net_hearings == 0:
@@ -125,7 +124,7 @@ def test_the_value_of_listening_is_exact_for_two_actions(net_hearings):
         return backed_up(lambda right: VALUE + 0.0 * right, np.asarray(right)).max(axis=0)
 
     exact = backed_up(one_left, np.asarray(right_after(net_hearings)))[LISTEN]
-    forest = trees("pft", net_hearings, Constant())
+    forest = trees("pft", net_hearings, constant())
     found = np.array([value_of_listening(forest, lane) for lane in range(NUM_LANES)])
     assert abs(found.mean() - exact) < 3 * found.std(ddof=1) / np.sqrt(NUM_LANES) + 1e-9
     returns = root_values(forest)
@@ -136,7 +135,7 @@ def test_the_value_of_listening_is_exact_for_two_actions(net_hearings):
 @pytest.mark.parametrize("net_hearings", by_tier([0, 1], normal=[1]))
 def test_branches_of_pomcpow_draw_from_the_posterior(net_hearings):
     # Values are no test of POMCPOW: the action preferred after few visits is one that was lucky.
-    forest = trees("pomcpow", net_hearings, Constant())
+    forest = trees("pomcpow", net_hearings, constant())
     nodes = np.stack(
         [forest.branches[lane, forest.children[lane, ROOT, LISTEN]] for lane in range(NUM_LANES)]
     )

@@ -15,17 +15,7 @@ from bojax.planning.gp_proposal import GaussianProcessProposal
 from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Box, Mixed
-from tests.planning.belief_searches import (
-    SETTINGS,
-    Draws,
-    belief_of,
-    drift,
-    number,
-    planner,
-    root_content,
-    search,
-)
-from tests.reference import belief_search as reference
+from tests.planning.belief_searches import belief_of, drift, number, planner, reference_tree, search
 
 LENGTHSCALE, CORRELATION, NOISE = 0.6, 0.4, 0.02
 
@@ -54,17 +44,10 @@ class Watching(RandomProposal):
 
 @pytest.mark.parametrize("name, target", [("pft", "return"), ("pomcpow", "reward")])
 def test_statistics_are_those_of_all_visits(name, target):
-    problem, iterations = drift(), 150
-    belief = belief_of(problem)
-    search_planner = planner(name, iterations, proposal=Watching(target))
+    problem = drift()
+    belief, search_planner = belief_of(problem), planner(name, 150, proposal=Watching(target))
     tree = search(search_planner, jax.random.key(5), problem, belief)
-    draws = Draws(jax.random.key(5), problem, belief, search_planner)
-    settings = SETTINGS | {"discount": 0.9, "num_actions": None}
-    if name == "pft":
-        content = root_content(search_planner, draws.root_key, problem, belief)
-        expected = reference.PFT(draws, **settings).search(content, iterations)
-    else:
-        expected = reference.POMCPOW(draws, **settings).search(None, iterations)
+    expected = reference_tree(search_planner, jax.random.key(5), problem, belief)
     nodes = [(ROOT, expected)]
     for node, b in nodes:
         for slot, action in enumerate(b.actions):
