@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import bojax
+from bojax.api import optimiser
 
 SPACE = {"rate": (1e-5, 1e5, "log"), "depth": (1, 8), "kind": ["b", "c", "a"]}
 """One space for most tests, which share its programs."""
@@ -100,7 +101,13 @@ def test_an_error_of_the_function_is_told_with_its_point_and_what_was_found():
     assert len(caught.value.result.evaluations) == 2 and isinstance(caught.value.__cause__, KeyError)
 
 
-def test_what_a_batch_has_found_before_an_error_is_kept():
+@pytest.fixture
+def few_rows(monkeypatch):
+    """With room for a batch of three, as many rows as elsewhere: the programs are those of single points."""
+    monkeypatch.setattr(optimiser, "LEAST_CAPACITY", optimiser.LEAST_CAPACITY - 2)
+
+
+def test_what_a_batch_has_found_before_an_error_is_kept(few_rows):
     def function(rate, depth, kind):
         calls.append(depth)
         return "low" if len(calls) == 3 else objective(rate, depth, kind)
@@ -124,7 +131,7 @@ def test_ctrl_c_keeps_what_was_found(capsys):
     assert "stopped after 2 evaluations" in capsys.readouterr().err
 
 
-def test_a_batch_is_evaluated_by_an_executor_and_known_points_count():
+def test_a_batch_is_evaluated_by_an_executor_and_known_points_count(few_rows):
     known = [({"rate": 100.0, "depth": 5, "kind": "a"}, 0.0)]
     with ThreadPoolExecutor(3) as pool:
         result = bojax.minimise(
@@ -156,13 +163,13 @@ def test_a_noisy_function_has_the_point_of_the_best_mean(maximise):
 
 
 def test_step_by_step_with_points_of_ones_own_and_more_than_the_capacity():
-    optimiser = bojax.Optimiser({"x": (-1.0, 1.0)}, noisy=True)
-    assert optimiser.ask() == optimiser.ask()
+    search = bojax.Optimiser({"x": (-1.0, 1.0)}, noisy=True)
+    assert search.ask() == search.ask()
     random = np.random.default_rng(1)
     points = [{"x": x} for x in random.uniform(-1.0, 1.0, 40)]  # above `LEAST_CAPACITY`
-    optimiser.tell_batch(points, [point["x"] ** 2 for point in points])
-    optimiser.tell(optimiser.ask(), 0.0)
-    result = optimiser.result()
+    search.tell_batch(points, [point["x"] ** 2 for point in points])
+    search.tell(search.ask(), 0.0)
+    result = search.result()
     assert len(result.evaluations) == 41
     with pytest.raises(ValueError, match="points: got a single point; allowed: a list"):
         result.predict({"x": 0.5})

@@ -102,19 +102,6 @@ def test_points_of_a_batch_are_apart_from_each_other():
 
 
 @pytest.mark.slow
-def test_integers_are_tried_once_until_none_is_left():
-    search = Search([DEPTH], 0, 3, 12)
-    tried = []
-    for _ in range(3):
-        proposed = search.propose(3)
-        search.tell(proposed, [-((depth - 4) ** 2) for (depth,) in proposed])
-        tried += proposed
-    assert sorted(tried) == [(1,), (2,), (3,), (4,), (5,)]
-    assert all(isinstance(depth, int) for (depth,) in tried)
-    assert search.propose(3) == []
-
-
-@pytest.mark.slow
 def test_a_point_without_a_score_is_not_tried_again():
     search = Search([DEPTH], 0, 3, 12)
     missing, *known = search.propose(3)
