@@ -70,13 +70,20 @@ class Choices:
             if cache is not None:
                 write(cache, self._news())
 
-    def settle(self, name: str, made: Made, again: Callable[[Mapping[str, str]], Made | None]) -> Made:
+    def settle(
+        self,
+        name: str,
+        made: Made,
+        again: Callable[[Mapping[str, str]], Made | None],
+        content: str | None = None,
+    ) -> Made:
         """The program with the plan's choices: as it was made, unless another process was the first.
 
         Args:
             name: Name of the program in its plan.
             made: The program as this process has compiled or loaded it.
             again: Compiles the program with the given choices; None if that is not possible.
+            content: The hash of `made`, see `fingerprint`; None if it is not known.
 
         Raises:
             EngineError: XLA makes something else of the program although it has the plan's choices.
@@ -84,7 +91,7 @@ class Choices:
         """
         if name.rpartition("-")[2] in _COPIES:
             return made
-        content = fingerprint(made)
+        content = content or fingerprint(made)
         first = self._publish(name, content)
         if first == content:
             return made
@@ -140,13 +147,18 @@ def fingerprint(made: Readable) -> str:
     return hashlib.sha256(re.sub(r", metadata=\{[^}]*\}", "", instructions).encode()).hexdigest()
 
 
-def compile_again(program: Program, device: Device, choices: Mapping[str, str]) -> Compiled | None:
+def contents_of(programs: Mapping[str, Readable]) -> dict[str, str]:
+    """The hashes of the programs of a group for which XLA may choose kernels, by their names."""
+    return {name: fingerprint(made) for name, made in programs.items() if name not in _COPIES}
+
+
+def compile_again(program: Program | None, device: Device, choices: Mapping[str, str]) -> Compiled | None:
     """Compile a program with the given choices; None if that is not possible.
 
     Another process does so, to which this one's own choices are not known. JAX's cache hands over the result.
     """
     cache = folder_of("")
-    if cache is None or program.exported is None:
+    if cache is None or program is None or program.exported is None:
         return None
     digest = hashlib.sha256(json.dumps(sorted(choices.items())).encode()).hexdigest()[:16]
     folder = cache / "choices" / digest

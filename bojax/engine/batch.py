@@ -17,8 +17,8 @@ from jax.extend.core import jaxpr_as_fun
 from jax.sharding import SingleDeviceSharding
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
-from bojax.engine import program_cache
-from bojax.engine.autotuning import Choices, compile_again
+from bojax.engine import executables, program_cache
+from bojax.engine.autotuning import Choices, compile_again, contents_of
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
 from bojax.engine.program_cache import Loaded, Program, Traced
@@ -169,9 +169,11 @@ class Programs:
         self._programs = dict(loaded.programs)
         if choices is not None:
             for name, program in loaded.programs.items():
-                again = partial(compile_again, loaded.traced[name], device)
                 self._programs[name] = choices.settle(
-                    f"{self._group.index}-{num_lanes}-{name}", program, again
+                    f"{self._group.index}-{num_lanes}-{name}",
+                    program,
+                    lambda given, name=name: compile_again(loaded.traced(name), device, given),
+                    loaded.contents.get(name),
                 )
 
     @classmethod
@@ -333,6 +335,10 @@ def obtain(
     if held := program_cache.held_programs(key, device):  # an earlier round of a search
         started()
         return Obtained(held, True, time.perf_counter() - start)
+    if (made := executables.load(key, device)) is not None:
+        started()
+        program_cache.hold(key, device, made)
+        return Obtained(made, True, time.perf_counter() - start)
     found, saved = program_cache.load(key), set[str]()
     if found is not None:
         started()
@@ -357,12 +363,14 @@ def obtain(
         compile_counts[name] += not is_hit
         if key is not None and name not in saved and program_cache.save_program(key, name, program):
             saved.add(name)
-    loaded = Loaded(ready, programs, carry)
+    loaded = Loaded(ready, programs.get, carry, contents_of(ready) if are_remade else {})
     program_cache.hold(key, device, loaded)
     are_saved = saved == set(programs)
     # The list of names is written last: a group counts as saved only once all its programs are.
     if key is not None and are_saved and found is None:
         are_saved = program_cache.save(key, list(programs), len(carry))
+    if key is not None and are_saved:
+        executables.save(key, device, loaded)
     return Obtained(loaded, are_saved, time.perf_counter() - start)
 
 

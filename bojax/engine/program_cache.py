@@ -7,8 +7,8 @@ device, and the static content of the group. Only groups whose classes and funct
 few packages of known versions are cached: other code can change unseen.
 
 Reading an entry runs no code: it is StableHLO, which JAX lowers and looks up in its own cache. The entries of
-JAX's cache are machine code, which XLA runs. `devices.prepare` therefore uses a folder only if it belongs to
-the user and nobody else can write to it.
+JAX's cache, and those of `executables`, are machine code, which XLA runs. `devices.prepare` therefore uses a
+folder only if it belongs to the user and nobody else can write to it.
 """
 
 import contextlib
@@ -27,6 +27,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -56,6 +57,9 @@ PACKAGES = (
 )
 """Packages, with their versions in the key, whose classes and functions a cached group may contain."""
 
+PROGRAMS, EXECUTABLES = FOLDERS = "programs", "executables"
+"""Folders, beside JAX's entries, of traced programs and, for `executables`, of compiled ones."""
+
 _MOST_HELD = 8
 """Number of groups whose programs stay in memory within `held`; the ones that were loaded last are kept."""
 
@@ -77,7 +81,7 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
         details: What else the programs depend on, such as the number of lanes.
     """
     content = _digest_of(group, *details)
-    if content is None or folder_of("programs") is None:
+    if content is None or folder_of(PROGRAMS) is None:
         return None
     kind = device.device_kind, device.client.platform_version
     parts = (_environment(), _flags(), jax.default_backend(), *kind)  # short loops depend on the backend
@@ -134,13 +138,15 @@ class Loaded(NamedTuple):
 
     Attributes:
         programs: The compiled programs, functions of the leaves of their inputs.
-        traced: The same programs before their compilation.
+        traced: The same program before its compilation, by its name; None if it is not saved.
         carry: Shapes and dtypes of the leaves of the carry.
+        contents: Hashes of what XLA has made of the programs, see `autotuning.contents_of`.
     """
 
-    programs: dict[str, Compiled]
-    traced: "Mapping[str, Program]"
+    programs: Mapping[str, Compiled]
+    traced: "Callable[[str], Program | None]"
     carry: Sequence[jax.ShapeDtypeStruct]
+    contents: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,7 @@ class Program:
             options: Options of XLA's compiler.
         """
         if device.platform == "cpu":
-            _initialize_lapack()
+            initialize_lapack()
             options = _cpu_options() | options
 
         def call(*leaves):
@@ -254,17 +260,17 @@ def save(key: str, names: Collection[str], num_carried: int) -> bool:
 
     Until then, as after a kill between two programs, those that are saved are loaded one by one.
     """
-    folder = folder_of("programs")
-    if folder is None or not _write(key, json.dumps([list(names), num_carried]).encode()):
+    if not write(key, json.dumps([list(names), num_carried]).encode()):
         return False
-    with contextlib.suppress(OSError):  # another process may be deleting them
-        drop_unused(folder)
+    for folder in filter(None, map(folder_of, FOLDERS)):
+        with contextlib.suppress(OSError):  # there is none, or another process is deleting them
+            drop_unused(folder)
     return True
 
 
 def load(key: str | None) -> Traced | None:
     """The programs of a group saved under a key, and the leaves of their carry; None unless all are there."""
-    content = None if key is None else _read(key)
+    content = None if key is None else read(key)
     if content is None:
         return None
     try:
@@ -277,8 +283,16 @@ def load(key: str | None) -> Traced | None:
 
 def is_saved(key: str | None) -> bool:
     """Whether all programs of a group are saved under a key."""
-    folder = folder_of("programs")
+    folder = folder_of(PROGRAMS)
     return key is not None and folder is not None and (folder / key).exists()
+
+
+def keep(key: str, names: Collection[str]) -> None:
+    """Mark the saved programs of a group as used."""
+    folder = folder_of(PROGRAMS)
+    for name in (key, *(f"{key}-{name}" for name in names)):
+        with contextlib.suppress(OSError):  # it is not there, or the file system is mounted for reading
+            os.utime((folder or Path()) / name)
 
 
 def save_program(key: str, name: str, program: Program) -> bool:
@@ -286,14 +300,14 @@ def save_program(key: str, name: str, program: Program) -> bool:
     if program.exported is None:
         return False
     try:
-        return _write(f"{key}-{name}", program.serialized())
+        return write(f"{key}-{name}", program.serialized())
     except Exception:  # of the exporter: the next sweep traces again
         return False
 
 
 def load_program(key: str | None, name: str) -> Program | None:
     """The program of this name that is saved under the key of its group; None if it is not saved."""
-    content = None if key is None else _read(f"{key}-{name}")
+    content = None if key is None else read(f"{key}-{name}")
     if content is None:
         return None
     try:
@@ -314,7 +328,7 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
     kept = set[Path]()
     for path in _entries_of(own) if key else ():
         content = _hash_of(path)
-        if content is not None and _read(path.name) == content:
+        if content is not None and read(path.name) == content:
             kept.add(path)
         else:
             with contextlib.suppress(OSError):  # a folder, or one that is mounted for reading
@@ -324,7 +338,7 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
     if key and not hits:
         # Only what this compilation has added is trusted: others may write under the same name.
         for path in set(_entries_of(own)) - kept:
-            _write(path.name, _hash_of(path) or b"")
+            write(path.name, _hash_of(path) or b"")
     return made, bool(hits)
 
 
@@ -341,9 +355,15 @@ def _hash_of(path: Path) -> bytes | None:
     return None
 
 
-def _write(name: str, content: bytes) -> bool:
-    """Write an entry with a checksum over its name and content, whole or not at all."""
-    folder = folder_of("programs")
+def write(name: str, content: bytes, where: str = PROGRAMS) -> bool:
+    """Write an entry with a checksum over its name and content, whole or not at all.
+
+    Args:
+        name: Name of the entry.
+        content: Its content.
+        where: One of `FOLDERS`.
+    """
+    folder = folder_of(where)
     if folder is None:
         return False
     try:
@@ -362,9 +382,9 @@ def _write(name: str, content: bytes) -> bool:
     return True
 
 
-def _read(name: str) -> bytes | None:
-    """The content of an entry; None if it is missing, damaged, or no regular file."""
-    folder = folder_of("programs")
+def read(name: str, where: str = PROGRAMS) -> bytes | None:
+    """The content of an entry in one of `FOLDERS`; None if it is missing, damaged, or no regular file."""
+    folder = folder_of(where)
     try:
         content = b"" if folder is None else _content_of(folder / name)
     except OSError:
@@ -392,7 +412,7 @@ def _content_of(path: Path) -> bytes:
 
 
 @functools.cache
-def _initialize_lapack() -> None:
+def initialize_lapack() -> None:
     """Look up the functions of LAPACK, as lowering does: a loaded program would call a null pointer."""
     matrix = jax.ShapeDtypeStruct((1, 1), np.float32)
     jax.jit(jax.numpy.linalg.cholesky).trace(matrix).lower(lowering_platforms=("cpu",))

@@ -15,7 +15,7 @@ def kept_toys() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch, program_cache.held():
         patch.setattr(program_cache, "_KNOWN", {*program_cache._KNOWN, "tests"})
-        patch.setattr(program_cache, "_write", lambda *_: False)
+        patch.setattr(program_cache, "write", lambda *_: False)
         yield
 
 

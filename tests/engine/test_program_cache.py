@@ -24,6 +24,7 @@ from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.chunks import SHORTEST_ON_CPU
 from bojax.engine.groups import static_groups
+from bojax.engine.program_cache import EXECUTABLES
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
 from tests.engine.drive import run_sweep
@@ -65,9 +66,13 @@ def compiled(tmp_path_factory):
 
 @pytest.fixture
 def entries(compiled, tmp_path):
-    """The entries of these programs, the group's own first, in their cache: JAX's keys contain its place."""
+    """The entries of these programs, the group's own first, in their cache: JAX's keys contain its place.
+
+    There are no `executables`, with which they would not be read.
+    """
     folder = compiled[1].parent
     shutil.copytree(folder, tmp_path / "copy")
+    shutil.rmtree(folder / EXECUTABLES)
     with caching_in(folder) as programs:
         yield [*groups_in(programs), *programs_in(programs)]
     shutil.rmtree(folder)
@@ -170,6 +175,7 @@ def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
         (cache / entry.name).unlink()
     else:
         spoil(entry, damage)
+    shutil.rmtree(cache.parent / EXECUTABLES)
     jax.clear_caches()
     before = batch.compile_counts.copy()
     found = advanced(programs_of(group_of()))
@@ -217,7 +223,7 @@ def test_programs_that_are_held_are_neither_traced_nor_read(cache, monkeypatch):
 
 
 def test_only_the_last_programs_are_held(cache):
-    held = [program_cache.Loaded({}, {}, [jax.ShapeDtypeStruct((number,), bool)]) for number in range(20)]
+    held = [program_cache.Loaded({}, {}.get, [jax.ShapeDtypeStruct((number,), bool)]) for number in range(20)]
     with program_cache.held():
         for number, programs in enumerate(held):
             program_cache.hold(str(number), DEVICE, programs)
@@ -341,7 +347,7 @@ def test_a_damaged_entry_is_not_used_and_replaced(compiled, entries, damage):
 @pytest.mark.parametrize("content", [b"\x80\x04", b"5", b"[[], 0]", b'[["no-such"], 1]'])
 def test_an_index_with_other_content_is_not_used_and_replaced(compiled, entries, content):
     group = entries[0].name
-    assert program_cache._write(group, content)  # with a right checksum
+    assert program_cache.write(group, content)  # with a right checksum
     assert program_cache.load(group) is None
     jax.tree.map(np.testing.assert_array_equal, advanced(programs_of(group_of())), advanced(compiled[0]))
     assert program_cache.load(group) is not None

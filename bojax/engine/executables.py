@@ -1,0 +1,59 @@
+"""Compiled programs as files, which are loaded without being lowered again.
+
+JAX finds a compiled program in its cache by what was lowered. To lower a traced program takes most of the
+time in which a group is loaded, and holds the interpreter, for which the threads that drive the devices wait.
+The files here are found by the key of the group instead, see `program_cache`, and have the same machine code
+as the entries of JAX's cache. Each device has its own: a compiled program names the device that it runs on.
+"""
+
+import contextlib
+import pickle
+import zlib
+from functools import partial
+
+import jax
+from jax.experimental import serialize_executable
+
+from bojax.engine import program_cache
+from bojax.engine.devices import Device
+from bojax.engine.program_cache import EXECUTABLES, Loaded
+
+_FAST = 1
+"""Level of compression: higher ones take longer and save little."""
+
+
+def save(key: str, device: Device, loaded: Loaded) -> None:
+    """Save the compiled programs of a group for a device; nothing happens if that is not possible."""
+    with contextlib.suppress(Exception):  # of JAX: the next sweep lowers them again
+        programs = {name: serialize_executable.serialize(made) for name, made in loaded.programs.items()}
+        carry = [(leaf.shape, leaf.dtype) for leaf in loaded.carry]
+        content = zlib.compress(pickle.dumps((programs, carry, dict(loaded.contents))), _FAST)
+        program_cache.write(_name(key, device), content, EXECUTABLES)
+
+
+def load(key: str | None, device: Device) -> Loaded | None:
+    """The compiled programs of a group on a device; None if they are not saved, or cannot be loaded."""
+    if key is None or not program_cache.is_saved(key):  # other devices need the traced programs
+        return None
+    content = program_cache.read(_name(key, device), EXECUTABLES)
+    if content is None:
+        return None
+    if device.platform == "cpu":
+        program_cache.initialize_lapack()
+    try:
+        saved, carry, contents = pickle.loads(zlib.decompress(content))
+        programs = {
+            name: serialize_executable.deserialize_and_load(*each, device.client, [device])
+            for name, each in saved.items()
+        }
+    except Exception:  # of JAX, or of the format of another version
+        return None
+    if any(made.runtime_executable().local_devices() != [device] for made in programs.values()):
+        return None  # devices have other numbers in this process
+    program_cache.keep(key, list(programs))
+    structure = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in carry]
+    return Loaded(programs, partial(program_cache.load_program, key), structure, contents)
+
+
+def _name(key: str, device: Device) -> str:
+    return f"{key}-{device.id}"

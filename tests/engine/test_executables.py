@@ -1,0 +1,129 @@
+"""Compiled programs are loaded without being lowered, with the same bits; what is damaged is made anew."""
+
+import pickle
+import zlib
+
+import jax
+import numpy as np
+import pytest
+
+from bojax.engine import batch, executables, program_cache
+from bojax.engine.autotuning import contents_of, fingerprint
+from bojax.engine.batch import Programs
+from bojax.engine.program_cache import EXECUTABLES, Program
+from tests.engine.test_program_cache import DEVICE, advanced, caching_in, files, group_of, programs_of, spoil
+from tests.tiers import by_tier
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path):
+    """An empty cache; the folder of compiled programs in it."""
+    with caching_in(tmp_path / "cache"):
+        yield tmp_path / "cache" / EXECUTABLES
+
+
+@pytest.fixture
+def loads_only(monkeypatch):
+    """Nothing is traced, lowered or compiled."""
+    monkeypatch.setattr(Programs, "_trace", lambda *_, **__: pytest.fail("traced"))
+    monkeypatch.setattr(Program, "deserialized", lambda *_: pytest.fail("read the traced program"))
+    monkeypatch.setattr(Program, "compile", lambda *_, **__: pytest.fail("lowered"))
+
+
+def key_of(group, lanes: int = 3):
+    return Programs.key_of(group, DEVICE, lanes, 0, None)
+
+
+def same_bits(first, second):
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+@pytest.mark.bits
+def test_programs_are_loaded_without_being_lowered_and_give_the_same_bits(request):
+    made = programs_of(group_of())
+    expected = advanced(made)
+    jax.clear_caches()
+    request.getfixturevalue("loads_only")
+    loaded = programs_of(group_of())
+    assert loaded.is_saved
+    same_bits(advanced(loaded), expected)
+    structures = made.carry_structure, loaded.carry_structure
+    assert jax.tree.leaves(structures[0]) == jax.tree.leaves(structures[1])
+
+
+def test_buffers_of_the_carry_are_donated_to_loaded_programs():
+    programs_of(group_of())
+    loaded = programs_of(group_of())
+    lanes = loaded.place(np.zeros(3, int), np.arange(3))
+    carry = loaded.init(lanes)
+    loaded.advance(carry, lanes)
+    assert any(leaf.is_deleted() for leaf in jax.tree.leaves(carry))
+
+
+@pytest.mark.bits
+def test_another_device_lowers_them_once(cache):
+    expected = advanced(programs_of(group_of()))
+    other = jax.devices("cpu")[1]
+    for _ in range(2):
+        found = programs_of(group_of(), device=other)
+        assert all(leaf.sharding.device_set == {other} for leaf in jax.tree.leaves(found.carry_structure))
+        same_bits(advanced(found), expected)
+        assert [path.name[-2:] for path in files(cache)] == ["-0", "-1"]
+    assert executables.load(key_of(group_of()), other) is not None
+
+
+def test_a_file_of_another_device_is_not_used(cache):
+    programs_of(group_of())
+    key, other = key_of(group_of()), jax.devices("cpu")[1]
+    content = program_cache.read(f"{key}-0", EXECUTABLES)
+    assert content is not None and program_cache.write(f"{key}-1", content, EXECUTABLES)
+    assert executables.load(key, DEVICE) is not None and executables.load(key, other) is None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    by_tier(
+        ["emptied", "cut off", "flipped", "a pipe", "of another group", "of another version"],
+        normal=["flipped"],
+    ),
+)
+def test_a_damaged_file_is_not_used_and_replaced(cache, damage):
+    expected = advanced(programs_of(group_of()))
+    (entry,) = files(cache)
+    if damage == "of another group":
+        programs_of(group_of(episodes=3))
+        (other,) = set(files(cache)) - {entry}
+        entry.write_bytes(other.read_bytes())
+    elif damage == "of another version":
+        program_cache.write(entry.name, zlib.compress(pickle.dumps({"format": 2})), EXECUTABLES)
+    else:
+        spoil(entry, damage)
+    key = key_of(group_of())
+    assert executables.load(key, DEVICE) is None
+    same_bits(advanced(programs_of(group_of())), expected)
+    assert executables.load(key, DEVICE) is not None
+
+
+def test_without_the_traced_programs_a_group_is_traced(cache):
+    programs_of(group_of())
+    (cache.parent / "programs" / str(key_of(group_of()))).unlink()
+    before = batch.compile_counts.copy()
+    assert executables.load(key_of(group_of()), DEVICE) is None
+    programs_of(group_of())
+    assert not batch.compile_counts - before  # JAX has kept them
+
+
+def test_the_hashes_of_a_plan_are_saved_with_the_programs(cache):
+    key, group = key_of(group_of()), group_of()
+    functions = batch.Functions(group)
+    made = Programs(functions, DEVICE, 3, 0, recorded=0)
+    files(cache)[0].unlink()
+    obtained = batch.obtain(key, DEVICE, lambda: made._trace(None), are_remade=True)
+    loaded = executables.load(key, DEVICE)
+    assert loaded is not None and obtained.loaded.contents == loaded.contents
+    assert loaded.contents == contents_of(loaded.programs) and "advance" in loaded.contents
+    assert loaded.contents["advance"] == fingerprint(made._programs["advance"])
+    program = loaded.traced("advance")
+    assert program is not None and program.exported is not None
