@@ -13,6 +13,7 @@ from functools import partial
 
 import jax
 from jax.experimental import serialize_executable
+from jax.stages import Compiled
 
 from bojax.engine import program_cache
 from bojax.engine.devices import Device
@@ -43,16 +44,22 @@ def load(key: str | None, device: Device) -> Loaded | None:
     try:
         saved, carry, contents = pickle.loads(zlib.decompress(content))
         programs = {
-            name: serialize_executable.deserialize_and_load(*each, device.client, [device])
-            for name, each in saved.items()
+            name: serialize_executable.deserialize_and_load(made, inputs, results, device.client, [device])
+            for name, (made, inputs, results) in saved.items()
         }
     except Exception:  # of JAX, or of the format of another version
         return None
-    if any(made.runtime_executable().local_devices() != [device] for made in programs.values()):
-        return None  # devices have other numbers in this process
+    if not all(_is_on(device, made) for made in programs.values()):
+        return None
     program_cache.keep(key, list(programs))
     structure = [jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in carry]
     return Loaded(programs, partial(program_cache.load_program, key), structure, contents)
+
+
+def _is_on(device: Device, made: Compiled) -> bool:
+    """Whether a program runs on a device."""
+    executable = made.runtime_executable()
+    return executable is not None and executable.local_devices() == [device]
 
 
 def _name(key: str, device: Device) -> str:

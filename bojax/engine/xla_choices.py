@@ -19,7 +19,8 @@ import os
 import re
 import secrets
 import threading
-from collections.abc import Collection, Iterator, Mapping
+import time
+from collections.abc import Collection, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -47,23 +48,31 @@ def xla_folder() -> Path | None:
     return None if folder is None else folder / XLA_FOLDER
 
 
-def read_all(left_out: Collection[str] = ()) -> Choices:
+def read_all(*left_out: Collection[str]) -> Choices:
     """The choices in XLA's folder, but for those that are left out.
 
-    A sweep asks for each of its programs, and the folder of a reproduction has ten thousand files. So the
-    files are only listed, and each is read once in a process.
+    A sweep asks for each of its programs, and the folder of a reproduction has ten thousand files. So a
+    folder is listed again only after a change, and each file is read once in a process.
+
+    Args:
+        left_out: Collections of names.
     """
-    folder, found = xla_folder(), {}
+    folder = xla_folder()
     with _reading:
-        for name, entry in sorted(_files(folder)) if folder is not None else ():
-            if name not in left_out and (content := _content_of(entry)) is not None:
-                found[name] = content
-    return found
+        files = {} if folder is None else _files(str(folder))
+        found = {name: _content_of(files[name]) for name in sorted(set(files).difference(*left_out))}
+    return {name: content for name, content in found.items() if content is not None}
 
 
 _reading = threading.Lock()
+_listed: dict[str, tuple[int, dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]] = {}
+"""The time of the last change of a folder, XLA's files in it by their paths, and the folders in it."""
+
 _contents: dict[tuple[str, int], str] = {}
 """The contents of files, by path and inode: XLA writes a file whole, under another name first."""
+
+_CLOCK_NS = 2_000_000_000
+"""Time after which a further change of a folder is sure to have another time than the last one."""
 
 
 def _content_of(entry: os.DirEntry[str]) -> str | None:
@@ -75,15 +84,32 @@ def _content_of(entry: os.DirEntry[str]) -> str | None:
     return _contents.get(key)
 
 
-def _files(folder: Path | str, prefix: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
+def _files(folder: str, prefix: str = "") -> dict[str, os.DirEntry[str]]:
     """XLA's files below a folder, by their paths in it."""
-    with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            name = prefix + entry.name
-            if entry.is_dir(follow_symlinks=False):
-                yield from _files(entry.path, f"{name}/")
-            elif name.endswith((".pb", ".textproto")) and _IS_SAFE.fullmatch(name):
-                yield name, entry
+    files, folders = _entries_of(folder, prefix)
+    found = dict(files)
+    for each in folders:
+        found |= _files(each.path, f"{prefix}{each.name}/")
+    return found
+
+
+def _entries_of(folder: str, prefix: str) -> tuple[dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]:
+    """XLA's files in a folder, and the folders in it; listed again only if the folder has changed."""
+    files, folders = {}, []
+    with contextlib.suppress(OSError):
+        now, changed = time.time_ns(), os.stat(folder).st_mtime_ns
+        if folder in _listed and _listed[folder][0] == changed:
+            return _listed[folder][1:]
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                name = prefix + entry.name
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry)
+                elif name.endswith((".pb", ".textproto")) and _IS_SAFE.fullmatch(name):
+                    files[name] = entry
+        if abs(now - changed) > _CLOCK_NS:
+            _listed[folder] = changed, files, folders
+    return files, folders
 
 
 def write(folder: Path, choices: Choices, *, replaces: bool = False) -> None:
@@ -126,7 +152,8 @@ def shipped(device: Device) -> Choices:
 
 def measured(left_out: Collection[str]) -> Choices:
     """The choices in XLA's folder that did not come with bojax, but for those that are left out."""
-    return read_all({*left_out, *(name for device in jax.local_devices() for name in shipped(device))})
+    cards = {device.device_kind: device for device in jax.local_devices()}
+    return read_all(left_out, *map(shipped, cards.values()))
 
 
 def offer_shipped(device: Device) -> None:

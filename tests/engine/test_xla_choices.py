@@ -3,6 +3,7 @@
 import base64
 import json
 import lzma
+import os
 
 import jax
 import pytest
@@ -80,6 +81,23 @@ def test_each_file_is_read_once_until_another_takes_its_place(xla, monkeypatch):
     assert base64.b64decode(read_all()["card/dot.pb"]) == b"tile 16"
     (xla / "card" / "link.pb").symlink_to(xla / "none")
     assert len(read_all()) == 2
+
+
+def test_a_folder_is_listed_again_only_after_a_change(xla, monkeypatch):
+    lists, scan = [], xla_choices.os.scandir
+    monkeypatch.setattr(xla_choices.os, "scandir", lambda path: (lists.append(str(path)), scan(path))[1])
+    choose(xla, dot="tile 8")
+    for _ in range(2):  # it may change again within the resolution of its time
+        assert set(read_all()) == {"card/dot.pb"}
+    assert lists == [str(xla), str(xla / "card")] * 2
+    for folder in (xla, xla / "card"):
+        os.utime(folder, times=(1e9, 1e9))
+    lists.clear()
+    for _ in range(2):
+        assert set(read_all()) == {"card/dot.pb"} and not read_all({"card/dot.pb"})
+    assert lists == [str(xla), str(xla / "card")]
+    choose(xla, sum="tile 32")
+    assert set(read_all()) == {"card/dot.pb", "card/sum.pb"} and len(lists) == 3
 
 
 def test_an_archive_is_made_of_all_choices(xla, capsys):
