@@ -213,7 +213,12 @@ def timed(
         "advancing_seconds": sum(group["run_seconds"] for each in manifests for group in each["groups"]),
         "spans": spans if name != THESIS else [],
         "times": [manifest["times"] for manifest in manifests],
-        "groups": [group["times"] for manifest in manifests for group in manifest["groups"]],
+        "sweeps": [manifest["name"] for manifest in manifests],
+        "groups": [
+            {"sweep": manifest["name"], "group": group["name"], **group["times"]}
+            for manifest in manifests
+            for group in manifest["groups"]
+        ],
         "sha256": [
             {table: hashed for table, hashed in manifest["sha256"].items() if table != "timings.parquet"}
             for manifest in manifests
