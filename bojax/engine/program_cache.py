@@ -289,10 +289,10 @@ def is_saved(key: str | None) -> bool:
 
 def keep(key: str, names: Collection[str]) -> None:
     """Mark the saved programs of a group as used."""
-    folder = folder_of(PROGRAMS)
-    for name in (key, *(f"{key}-{name}" for name in names)):
-        with contextlib.suppress(OSError):  # it is not there, or the file system is mounted for reading
-            os.utime((folder or Path()) / name)
+    if (folder := folder_of(PROGRAMS)) is not None:
+        for name in (key, *(f"{key}-{name}" for name in names)):
+            with contextlib.suppress(OSError):  # it is missing, or the file system is mounted for reading
+                os.utime(folder / name)
 
 
 def save_program(key: str, name: str, program: Program) -> bool:

@@ -1,5 +1,6 @@
 """Compiled programs are loaded without being lowered, with the same bits; what is damaged is made anew."""
 
+import os
 import pickle
 import zlib
 
@@ -127,3 +128,13 @@ def test_the_hashes_of_a_plan_are_saved_with_the_programs(cache):
     assert loaded.contents["advance"] == fingerprint(made._programs["advance"])
     program = loaded.traced("advance")
     assert program is not None and program.exported is not None
+
+
+def test_what_is_loaded_is_kept(cache):
+    programs_of(group_of())
+    entries = [path for path in files(cache.parent / "programs") if not path.name.startswith("jit_")]
+    for path in [*entries, *files(cache)]:
+        os.utime(path, times=(1e9, 1e9))
+    programs_of(group_of())
+    programs_of(group_of(episodes=3))  # which deletes what was not used for long
+    assert all(path.exists() for path in entries) and len(files(cache)) == 2
