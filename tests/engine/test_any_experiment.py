@@ -47,7 +47,7 @@ def write_drawn(seed: int, folder: Path) -> Path:
         return path
 
 
-@pytest.mark.parametrize("seed", by_tier(range(NUMBER), normal=(11,)))
+@pytest.mark.parametrize("seed", by_tier(range(NUMBER), normal=(2,)))
 def test_a_drawn_experiment(usual_jax, tmp_path, monkeypatch, capfd, seed):
     monkeypatch.chdir(tmp_path)
     path = write_drawn(seed, tmp_path)
