@@ -154,6 +154,7 @@ def _group(title: str, members: Members) -> str:
     table = _table([(name, _summary(member)) for name, member in members.items()])
     role = next((role for role, base in roles().items() if base.plural == title), "")
     examples = {
+        "areas": "bojax survey 500x300 --budget 2km writes a config with one",
         "experiments": "bojax run chain",
         "configs": "bojax run parking",
         "sweeps": "bojax sweep parking; bojax reproduce takes their names too",
