@@ -4,6 +4,7 @@ JAX finds a compiled program in its cache by what was lowered. To lower a traced
 time in which a group is loaded, and holds the interpreter, for which the threads that drive the devices wait.
 The files here are found by the key of the group instead, see `program_cache`, and have the same machine code
 as the entries of JAX's cache. Each device has its own: a compiled program names the device that it runs on.
+Programs that came from JAX's cache, as after a change of code that does not change them, have none.
 """
 
 import contextlib
@@ -24,7 +25,11 @@ _FAST = 1
 
 
 def save(key: str, device: Device, loaded: Loaded) -> None:
-    """Save the compiled programs of a group for a device; nothing happens if that is not possible."""
+    """Save the compiled programs of a group for a device; nothing happens if that is not possible.
+
+    All must have been compiled in this process: what XLA writes of a program for a CPU that it has read lacks
+    functions, which is noticed only when the program is called.
+    """
     with contextlib.suppress(Exception):  # of JAX: the next sweep lowers them again
         programs = {name: serialize_executable.serialize(made) for name, made in loaded.programs.items()}
         carry = [(leaf.shape, leaf.dtype) for leaf in loaded.carry]

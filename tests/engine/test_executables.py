@@ -8,8 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from bojax.engine import batch, executables, program_cache
-from bojax.engine.autotuning import contents_of, fingerprint
+from bojax.engine import autotuning, batch, executables, program_cache
+from bojax.engine.autotuning import Choices, contents_of, programs_in
 from bojax.engine.batch import Programs
 from bojax.engine.program_cache import EXECUTABLES, Program
 from tests.engine.test_program_cache import DEVICE, advanced, caching_in, files, group_of, programs_of, spoil
@@ -90,7 +90,7 @@ def test_a_file_of_another_device_is_not_used(cache):
         normal=["flipped"],
     ),
 )
-def test_a_damaged_file_is_not_used_and_replaced(cache, damage):
+def test_a_damaged_file_is_not_used_and_is_replaced_by_a_compilation(cache, damage):
     expected = advanced(programs_of(group_of()))
     (entry,) = files(cache)
     if damage == "of another group":
@@ -98,12 +98,16 @@ def test_a_damaged_file_is_not_used_and_replaced(cache, damage):
         (other,) = set(files(cache)) - {entry}
         entry.write_bytes(other.read_bytes())
     elif damage == "of another version":
-        program_cache.write(entry.name, zlib.compress(pickle.dumps({"format": 2})), EXECUTABLES)
+        assert program_cache.write(entry.name, zlib.compress(pickle.dumps({"format": 2})), EXECUTABLES)
     else:
         spoil(entry, damage)
     key = key_of(group_of())
     assert executables.load(key, DEVICE) is None
     same_bits(advanced(programs_of(group_of())), expected)
+    for kept in cache.parent.glob("jit_*-cache"):
+        kept.unlink()
+    jax.clear_caches()
+    same_bits(advanced(programs_of(group_of())), expected)  # compiled anew, and saved in its place
     assert executables.load(key, DEVICE) is not None
 
 
@@ -116,16 +120,29 @@ def test_without_the_traced_programs_a_group_is_traced(cache):
     assert not batch.compile_counts - before  # JAX has kept them
 
 
-def test_the_hashes_of_a_plan_are_saved_with_the_programs(cache):
-    key, group = key_of(group_of()), group_of()
-    functions = batch.Functions(group)
-    made = Programs(functions, DEVICE, 3, 0, recorded=0)
-    files(cache)[0].unlink()
-    obtained = batch.obtain(key, DEVICE, lambda: made._trace(None), are_remade=True)
+def test_programs_that_jax_has_kept_are_not_written_again(cache):
+    # XLA would write them without some of their functions.
+    expected = advanced(programs_of(group_of()))
+    for entry in files(cache):
+        entry.unlink()
+    jax.clear_caches()
+    before = batch.compile_counts.copy()
+    same_bits(advanced(programs_of(group_of())), expected)
+    assert not batch.compile_counts - before and not files(cache)
+
+
+def test_the_hashes_of_a_plan_are_saved_with_the_programs(tmp_path, monkeypatch):
+    key = key_of(group_of())
+    plans = [Choices(tmp_path / name) for name in ("first", "second")]
+    for plan in plans:
+        Programs(batch.Functions(group_of()), DEVICE, 3, 0, recorded=0, choices=plan)
+        monkeypatch.setattr(autotuning, "fingerprint", lambda _: pytest.fail("hashed again"))
+    monkeypatch.undo()
     loaded = executables.load(key, DEVICE)
-    assert loaded is not None and obtained.loaded.contents == loaded.contents
-    assert loaded.contents == contents_of(loaded.programs) and "advance" in loaded.contents
-    assert loaded.contents["advance"] == fingerprint(made._programs["advance"])
+    assert loaded is not None and loaded.contents == contents_of(loaded.programs)
+    published = [programs_in(plan.folder) for plan in plans]
+    assert published[0] == published[1]
+    assert published[0]["0-3-advance"] == loaded.contents["advance"][:16]
     program = loaded.traced("advance")
     assert program is not None and program.exported is not None
 
