@@ -21,7 +21,7 @@ from bojax.engine import executables, program_cache
 from bojax.engine.autotuning import Choices, compile_again, contents_of
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
-from bojax.engine.program_cache import Loaded, Program, Traced
+from bojax.engine.program_cache import FOUND, WRITTEN, Loaded, Program, Traced
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
 from bojax.engine.xla_choices import offer_shipped
 from bojax.experiments.base import Carry, Experiment, Records
@@ -357,11 +357,11 @@ def obtain(
             elif are_remade:
                 # XLA makes something else of a program than of its export, which is all another process gets.
                 programs = {name: _exported(each, device) for name, each in programs.items()}
-    ready, are_compiled = {}, True
+    ready, are_written = {}, True
     for name, program in programs.items():
-        ready[name], is_hit = program_cache.compiled(key, name, program, device)
-        compile_counts[name] += not is_hit
-        are_compiled = are_compiled and not is_hit
+        ready[name], events = program_cache.compiled(key, name, program, device)
+        compile_counts[name] += FOUND not in events
+        are_written = are_written and WRITTEN in events
         if key is not None and name not in saved and program_cache.save_program(key, name, program):
             saved.add(name)
     loaded = Loaded(ready, programs.get, carry, contents_of(ready) if are_remade else {})
@@ -370,7 +370,7 @@ def obtain(
     # The list of names is written last: a group counts as saved only once all its programs are.
     if key is not None and are_saved and found is None:
         are_saved = program_cache.save(key, list(programs), len(carry))
-    if key is not None and are_saved and are_compiled:
+    if key is not None and are_saved and are_written:
         executables.save(key, device, loaded)
     return Obtained(loaded, are_saved, time.perf_counter() - start)
 

@@ -24,7 +24,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -316,8 +316,8 @@ def load_program(key: str | None, name: str) -> Program | None:
         return None
 
 
-def compiled(key: str | None, name: str, program: Program, device: Device) -> tuple[Compiled, bool]:
-    """A compiled program, and whether it comes from JAX's cache.
+def compiled(key: str | None, name: str, program: Program, device: Device) -> tuple[Compiled, Set[str]]:
+    """A compiled program, and the events of JAX's cache: `FOUND`, or `WRITTEN` if the program is new.
 
     JAX writes its entries in place, without a hash, and never replaces one: what a full disk or a kill has
     cut short would be compiled again in every later sweep, with a warning. The hashes of the entries are kept
@@ -333,13 +333,13 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
         else:
             with contextlib.suppress(OSError):  # a folder, or one that is mounted for reading
                 path.unlink()
-    with _counting_hits() as hits:
+    with _noting() as events:
         made = program.compile(own, device)
-    if key and not hits:
+    if key and FOUND not in events:
         # Only what this compilation has added is trusted: others may write under the same name.
         for path in set(_entries_of(own)) - kept:
             write(path.name, _hash_of(path) or b"")
-    return made, bool(hits)
+    return made, events
 
 
 def _entries_of(name: str) -> list[Path]:
@@ -418,22 +418,26 @@ def initialize_lapack() -> None:
     jax.jit(jax.numpy.linalg.cholesky).trace(matrix).lower(lowering_platforms=("cpu",))
 
 
+FOUND, WRITTEN = "/jax/compilation_cache/cache_hits", "/jax/compilation_cache/cache_misses"
+"""Events of JAX when its cache gives a program, and when it takes one that was compiled."""
+
+
 @contextlib.contextmanager
-def _counting_hits() -> Iterator[list[str]]:
-    """An entry for each program that JAX's cache gives this thread within the context."""
-    _hits.found = found = []
+def _noting() -> Iterator[set[str]]:
+    """The events of JAX's cache in this thread within the context."""
+    _events.noted = noted = set[str]()
     try:
-        yield found
+        yield noted
     finally:
-        _hits.found = None
+        _events.noted = None
 
 
 def _note(event: str, **_: object) -> None:
-    if event == "/jax/compilation_cache/cache_hits" and getattr(_hits, "found", None) is not None:
-        _hits.found.append(event)
+    if (noted := getattr(_events, "noted", None)) is not None:
+        noted.add(event)
 
 
-_hits = threading.local()
+_events = threading.local()
 jax.monitoring.register_event_listener(_note)
 
 

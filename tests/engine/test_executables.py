@@ -127,8 +127,10 @@ def test_programs_that_jax_has_kept_are_not_written_again(cache):
         entry.unlink()
     jax.clear_caches()
     before = batch.compile_counts.copy()
-    same_bits(advanced(programs_of(group_of())), expected)
-    assert not batch.compile_counts - before and not files(cache)
+    for _ in range(2):
+        same_bits(advanced(programs_of(group_of())), expected)
+        assert not files(cache)
+    assert not batch.compile_counts - before
 
 
 def test_the_hashes_of_a_plan_are_saved_with_the_programs(tmp_path, monkeypatch):
