@@ -1,17 +1,15 @@
 """Pages over several results folders: every claim of the thesis with its verdict, and one page a chapter."""
 
-import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
 
+from bojax.claims.chapters import Chapter, Origin, Row, Sweep, relative
 from bojax.claims.collected import collected
 from bojax.claims.multiverse.outcomes import Multiverse, found_below, with_shares
-from bojax.report.explanations import AtHand, Explained, causes_of, explanations_of
+from bojax.report.explanations import AtHand, causes_of
 from bojax.report.manifest import Manifest
 from bojax.report.source import load
 from bojax.report.template import fill
@@ -21,17 +19,8 @@ from bojax.report.verdicts import TestedClaim, claims_among, read_claims, tally,
 from bojax.results.store import ResultsError, make_folder, write_content
 from bojax.text import error_line
 
-CHAPTERS = {
-    3: "Bayesian optimisation for sequential planning",
-    4: "Sequential planning with continuous actions",
-    5: "Bayesian optimisation for reinforcement learning",
-}
-"""Chapters of the thesis with claims."""
-
 PAGE = "reproduction.html"
 TEXT = "reproduction.md"
-
-Origin = tuple[tuple[str, str], ...]  # names and texts of what results were made by
 
 _NOTE = (
     "Bounds, margins and windows that {source} not print are choices of bojax. They follow the word "
@@ -60,9 +49,6 @@ OTHERS = Words("Reproduction of published results", "publications do", "publishe
 
 _HOLDS_IN = " The column `holds in` has the share of a multiverse's configurations that reproduce a claim."
 
-_PLACES = re.compile(r" --(?:resume|(?:out|devices|launcher)[ =](?:'[^']*'|\S+))")
-"""Options of a command that say where it ran: results do not depend on them."""
-
 _SENTENCE = "Of N claims ..., N are reproduced, N are not, and N are inconclusive; N of them rest"
 _COUNTS = re.compile(
     r"Of\s+\d+(\s+claims.*?)\d+(\s+are\s+reproduced,\s+)\d+(\s+are\s+not,\s+and\s+)\d+"
@@ -70,143 +56,6 @@ _COUNTS = re.compile(
     re.DOTALL,
 )
 """The sentence on claims of another page."""
-
-_KINDS = {"fig": "Fig.", "table": "Table", "section": "Section"}
-_REFERENCE = re.compile(
-    r"\b(fig|table|section)\W+(\d+)\.(\d+(?:\.\d+)*)([a-z]?)\b(?: \((\w+)\))?", re.IGNORECASE
-)
-"""`Fig. 5.4 (top)` in the source of a claim, `table-5.3` in its id."""
-_PAGE = re.compile(r"\bp\. (\d+(?:-\d+)?)")
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """A results folder with claims."""
-
-    manifest: Manifest
-    entries: Sequence[TestedClaim]
-    explanations: Sequence[Explained]  # of the claims that are not reproduced, or inconclusive
-    report: str  # address of its report, relative to the page; empty without a report
-
-    @classmethod
-    def of(cls, source: AtHand, others: Mapping[str, AtHand], folder: Path) -> "Sweep":
-        """The sweep of some results, on a page in a folder; explanations refer to others by name."""
-        report = source.results.folder / "report.html"
-        address = quote(_relative(report, folder)) if report.is_file() else ""
-        return cls(source.results.manifest, source.claims, explanations_of(source, others), address)
-
-    @property
-    def claims(self) -> list[TestedClaim]:
-        """The entries that are claims."""
-        return claims_among(self.entries)
-
-    @property
-    def origin(self) -> Origin:
-        """The command that made it, with which code and packages."""
-        known = self.manifest.provenance
-        command = _PLACES.sub("", self.manifest.command)
-        return (("command", command), *((key, known[key]) for key in ("revision", "versions")))
-
-
-@dataclass(frozen=True)
-class Row:
-    """An entry of a sweep on the pages."""
-
-    sweep: Sweep
-    claim: TestedClaim
-    explained: Explained | None  # why it is not reproduced, or inconclusive
-    chapter: int  # its chapter; 0 if nothing says which
-    order: tuple[Any, ...]  # chapters, and in each figures before tables before sections, all by number
-    reference: str  # the figure, table or section; else the name of the sweep
-    page: str  # the page of the PDF; empty if the source names none
-    other_source: str  # the source, if it is not in the thesis
-
-    @classmethod
-    def of(cls, sweep: Sweep, claim: TestedClaim) -> "Row":
-        """The row of a claim, read off its source, or else its id or the name of the sweep."""
-        source = claim.source or ""
-        matches = [_REFERENCE.search(text) for text in (source, claim.id, sweep.manifest.name)]
-        chapter, place, reference = "0", (), sweep.manifest.name
-        if match := next(filter(None, matches), None):
-            kind, chapter, number, letter, part = match.groups(default="")
-            numbers = [int(each) for each in number.split(".")]
-            place = list(_KINDS).index(kind.lower()), numbers, letter, part
-            reference = f"{_KINDS[kind.lower()]} {chapter}.{number}{letter}{f' ({part})' if part else ''}"
-        page = _PAGE.search(source)
-        other = "" if matches[0] else source
-        order = int(chapter) or float("inf"), place
-        explained = next((each for each in sweep.explanations if claim in each.claims), None)
-        return cls(sweep, claim, explained, int(chapter), order, reference, page[1] if page else "", other)
-
-    @property
-    def source(self) -> str:
-        """Figure, table or section, and page."""
-        if self.other_source:
-            return self.other_source
-        return f"{self.reference}, p. {self.page}" if self.page else self.reference
-
-    @property
-    def anchor(self) -> str:
-        """Its place in the page of its chapter."""
-        name, claim = self.sweep.manifest.name, self.claim.id  # an id is unique in its sweep
-        return _anchor(claim if claim.startswith(f"{name}/") else f"{name}-{claim}")
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure, table or section with its claims, and the variants and checks that belong to it."""
-
-    title: str
-    claims: Sequence[Row]
-    others: Sequence[Row]
-
-    @property
-    def anchor(self) -> str:
-        """Its place in the page of its chapter."""
-        return _anchor(self.title)
-
-
-@dataclass(frozen=True)
-class Chapter:
-    """A chapter of the thesis, or what belongs to none."""
-
-    title: str
-    file: str  # name of its page, without a suffix
-    figures: Sequence[Figure]
-
-    @classmethod
-    def of(cls, number: int, rows: Iterable[Row]) -> "Chapter":
-        """The chapter of a number, 0 for none, whose rows are in order."""
-        figures = []
-        for title, group in groupby(rows, key=lambda row: row.reference):
-            members = list(group)
-            claims = [row for row in members if row.claim.is_claim]
-            figures.append(Figure(title, claims, [row for row in members if not row.claim.is_claim]))
-        title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
-        return cls(*((title, f"chapter{number}") if number else ("Other claims", "other")), figures)
-
-    @property
-    def rows(self) -> list[Row]:
-        """All rows in the order of its page."""
-        return [row for figure in self.figures for row in (*figure.claims, *figure.others)]
-
-    @property
-    def claims(self) -> list[Row]:
-        """The rows of claims."""
-        return [row for row in self.rows if row.claim.is_claim]
-
-    @property
-    def verdicts(self) -> str:
-        """The number of each verdict."""
-        return verdicts_in_words([row.claim for row in self.rows])
-
-    def is_ambiguous(self, row: Row) -> bool:
-        """Whether several sweeps test claims of its figure, so that it needs the name of its sweep."""
-        return any(each.reference == row.reference and each.sweep is not row.sweep for each in self.claims)
-
-    def told_at(self, row: Row) -> Row:
-        """The first row of the page with the explanation of a row, where its text is."""
-        return next(each for each in self.rows if each.explained is row.explained)
 
 
 def reproduction(folder: Path, sources: Sequence[Path], seconds: float) -> Path:
@@ -224,7 +73,7 @@ def reproduction(folder: Path, sources: Sequence[Path], seconds: float) -> Path:
             results = load(source)
             found[results.manifest.name] = AtHand(results, read_claims(source))
         except ResultsError as error:
-            gaps.append((_relative(source, folder), str(error).removeprefix(f"{source}: ")))
+            gaps.append((relative(source, folder), str(error).removeprefix(f"{source}: ")))
     sweeps = [Sweep.of(each, found, folder) for each in found.values()]
     _write([folder / TEXT, folder / PAGE], sweeps, gaps, [("time taken", in_seconds(seconds))])
     return folder / PAGE
@@ -372,14 +221,6 @@ def _summary(sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]], words: Wo
         f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
     ]
     return " ".join(filter(None, sentences))
-
-
-def _anchor(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
