@@ -10,7 +10,6 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "scattered": {"file": "rows.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
     "outline": {"file": "area.geojson"},
     "route": {"file": "way.csv"},
-    "lawnmower": {"file": "way.csv"},
     "gymnasium": {"id": "MountainCar-v0"},
     "brax": {"name": "fast"},
     "learning": {"env": "mountain-car", "learner": "emu-q"},

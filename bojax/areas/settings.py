@@ -7,7 +7,7 @@ import pydantic
 from pydantic import Field
 
 from bojax.config.component import RECORDED, Component
-from bojax.fields.data import sha256_of_files
+from bojax.fields.data import record_sha256
 
 if TYPE_CHECKING:
     from bojax.areas.place import Place
@@ -54,14 +54,9 @@ class OutlinedArea(AreaSettings, frozen=True):
         if info.context is RECORDED and self.sha256 is not None:
             return self
         try:
-            digest = sha256_of_files(self.file, *self.avoid)
+            record_sha256(self, self.file, *self.avoid)
         except OSError as error:
             raise ValueError(f"{error.filename}: {error.strerror}") from error
-        if self.sha256 is None:
-            # Results record the area that they were computed in; a run resumes with the same area only.
-            object.__setattr__(self, "sha256", digest)
-        elif self.sha256 != digest:
-            raise ValueError(f"{self.file}: the file, or one to avoid, has changed: their SHA-256 differs")
         _ = self.place
         return self
 

@@ -3,7 +3,7 @@
 import hashlib
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bojax.config.limits import NUMBERS, TEXT, read_within
 from bojax.fields.raster import with_holes
@@ -133,3 +133,18 @@ def sha256_of_files(*files: str) -> str:
     """The SHA-256 of the content of a file, or of those of several; `FILE:NAME` stands for its file."""
     digests = [sha256_of(file if os.path.exists(file) else file.partition(":")[0]) for file in files]
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def record_sha256(settings: Any, *files: str) -> None:
+    """Set `sha256` of settings to that of their files, so that a run resumes with the same files only.
+
+    Raises:
+        ValueError: The settings have another one, of files that have changed since.
+        OSError: A file cannot be read.
+    """
+    digest = sha256_of_files(*files)
+    if settings.sha256 is None:
+        object.__setattr__(settings, "sha256", digest)
+    elif settings.sha256 != digest:
+        name, its = ("the file", "its") if len(files) == 1 else (f"one of {len(files)} files", "their")
+        raise ValueError(f"{files[0]}: {name} has changed: {its} SHA-256 differs")

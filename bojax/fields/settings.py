@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bojax.config.component import RECORDED, Component
 from bojax.config.limits import CELLS, square
-from bojax.fields.data import sha256_of_files
+from bojax.fields.data import record_sha256
 from bojax.fields.raster_files import FORMATS, local_extent, read_local_points, read_raster
 from bojax.models.settings import GREATEST
 
@@ -132,15 +132,10 @@ class _Measured(FieldSettings, frozen=True):
         if info.context is RECORDED and self.sha256 is not None:
             return self
         extent = self._check()
-        digest = sha256_of_files(self.file)
         if self.extent is None:
             # The results record the extent, as drawings of them need it without the file.
             object.__setattr__(self, "extent", proper_box(extent))
-        if self.sha256 is None:
-            # Results record the data that they were computed from; a run resumes with the same data only.
-            object.__setattr__(self, "sha256", digest)
-        elif self.sha256 != digest:
-            raise ValueError(f"{self.file}: the file has changed: its SHA-256 differs")
+        record_sha256(self, self.file)
         return self
 
     @abc.abstractmethod

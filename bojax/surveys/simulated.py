@@ -105,7 +105,7 @@ def _planners(folder: Path, path: float, std: float) -> dict[str, dict[str, Any]
 
     return {
         "route": {"kind": "route", "file": str(folder / "waypoints.csv"), **pieces},
-        "lawnmower": {"kind": "lawnmower", "file": str(folder / LAWNMOWER), **pieces},
+        "lawnmower": {"kind": "route", "file": str(folder / LAWNMOWER), **pieces},
         "kcbts": {"kind": "kcbts", **search, **motions("kernel")},
         "cbts": {"kind": "cbts", **search, **motions("cubic")},
         "sbo": {"kind": "sbo", **search, **motions("splines", actions=9)},

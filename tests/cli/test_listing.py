@@ -49,7 +49,7 @@ def test_a_part_a_config_and_a_sweep_of_one_name(listed):
 @pytest.mark.parametrize("role", by_tier(catalog.roles(), normal=["acquisition", "experiment"]))
 def test_an_example_stands_with_every_group_and_part_and_is_a_valid_config(listed, role):
     # They need an id, a file or a number.
-    without = {"brax", "gymnasium", "grid", "scattered", "until-target", "outline", "route", "lawnmower"}
+    without = {"brax", "gymnasium", "grid", "scattered", "until-target", "outline", "route"}
     lines = [line.strip() for line in listed(catalog.roles()[role].plural).splitlines()]
     assert lines[-1].startswith("bojax survey " if role == "area" else "bojax run "), role
     for kind in catalog.kinds(role):

@@ -1,5 +1,8 @@
 """A state problem of a user's class with a mistake ends in one line before anything runs."""
 
+from functools import partial
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -143,7 +146,8 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
 def test_discrete_actions_are_rows_of_numbers():
     message = "^Discrete: allowed: an array with a row of numbers for each action"
     with without_annotation_checks():
-        assert_refused([(lambda: Discrete(3), message), (lambda: Discrete(jnp.arange(3.0)), message)])  # type: ignore
+        numbers: list[Any] = [3, jnp.arange(3.0)]
+        assert_refused([(partial(Discrete, values), message) for values in numbers])
 
 
 def test_wrong_shapes_are_refused():

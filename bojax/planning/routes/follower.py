@@ -17,10 +17,10 @@ from bojax.problems.field_problem import FieldProblem
 class RouteFollower(Planner):
     """The next piece of a route, from wherever the robot is.
 
-    Step t leads along the route from t to t + 1 lengths; a pose within half a
-    pose distance of a waypoint is at the waypoint. At the end of the route, the robot stays there.
+    Step t leads along the route from t to t + 1 lengths. A pose within half the distance between two poses of
+    a waypoint is at the waypoint. Beyond the end of the route, the robot stays there.
 
-    Settings: `bojax.planning.routes.settings.Route` and `Lawnmower`.
+    Settings: `bojax.planning.routes.settings.Route`.
 
     Attributes:
         waypoints: The route, m.

@@ -1,4 +1,4 @@
-"""Settings of planners that follow routes from files."""
+"""Settings of the planner that follows a route from a file."""
 
 from typing import Any, ClassVar, Literal
 
@@ -6,15 +6,15 @@ import pydantic
 from pydantic import Field
 
 from bojax.config.component import RECORDED
-from bojax.fields.data import read_waypoints, sha256_of_files
+from bojax.fields.data import read_waypoints, record_sha256
 from bojax.planning.settings import PlannerSettings
 
 
-class RouteSettings(PlannerSettings, frozen=True):
-    """A planner that follows a route from a file."""
+class Route(PlannerSettings, frozen=True):
+    """A route from a file, as `bojax survey` writes it, driven piece by piece on a field."""
 
     target: ClassVar[str] = "bojax.planning.routes.follower:RouteFollower"
-
+    kind: Literal["route"] = "route"
     file: str = Field(
         min_length=1,
         description="a .csv or .npy file of waypoints, relative to the working directory: columns x and y, m",
@@ -24,25 +24,9 @@ class RouteSettings(PlannerSettings, frozen=True):
     sha256: str | None = Field(default=None, description="SHA-256 of the file; null to compute it")
 
     @pydantic.model_validator(mode="after")
-    def _readable(self, info: Any) -> "RouteSettings":
+    def _readable(self, info: Any) -> "Route":
         if info.context is RECORDED and self.sha256 is not None:
             return self
         read_waypoints(self.file)
-        digest = sha256_of_files(self.file)
-        if self.sha256 is None:
-            object.__setattr__(self, "sha256", digest)
-        elif self.sha256 != digest:
-            raise ValueError(f"{self.file}: the file has changed: its SHA-256 differs")
+        record_sha256(self, self.file)
         return self
-
-
-class Route(RouteSettings, frozen=True):
-    """A route from a file, as `bojax survey` writes it, driven piece by piece on a field."""
-
-    kind: Literal["route"] = "route"
-
-
-class Lawnmower(RouteSettings, frozen=True):
-    """The same, for a lawnmower: `bojax survey` writes the best one as `lawnmower.csv`."""
-
-    kind: Literal["lawnmower"] = "lawnmower"
