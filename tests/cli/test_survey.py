@@ -246,7 +246,15 @@ def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
             f"planner.{key}={json.dumps(value)}" for key, value in planners[name].items() if key != "kind"
         ]
         config, folder = str(out / "simulation.yaml"), runs / name
-        words = [f"planner={name}", *changed, "problem.resolution=121", "--runs", "2", "--out", str(folder)]
+        words = [
+            f"planner={planners[name]['kind']}",
+            *changed,
+            "problem.resolution=121",
+            "--runs",
+            "2",
+            "--out",
+            str(folder),
+        ]
         assert main(["run", config, *words]) == 0
         found, steps = (pq.read_table(folder / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
         assert found["success"] == [True, True] and max(steps["distance"]) <= 900.0 + 1e-6
