@@ -45,8 +45,9 @@ class Drive(eqx.Module):
 
         Where the distance does not suffice, the robot stops at the last pose that it reaches, and none is
         left: what remains does not reach any further pose. If the mission must end at a point, it stops at
-        the last pose from which the point is reached, and the distance to it is left; `to_end` is that from
-        the start and from each pose, m.
+        the last pose from which the point is reached, and the distance to it is left; so it is after a path
+        that stays where it is, as at the end of a route. `to_end` is that distance from the start and from
+        each pose, m.
         """
         driven = jnp.cumsum(self._lengths(start))
         # Rounding of the sums does not leave out a pose that lies exactly at the end.
@@ -64,10 +65,17 @@ class Drive(eqx.Module):
         if to_end is None:
             rest = jnp.where(is_cut | is_used, 0.0, rest)
         else:
-            rest = jnp.where(is_cut, to_end[number], jnp.where(is_used, 0.0, rest))
+            stays = is_rounding(driven[-1], start) & ~self.collided & ~self.exited
+            rest = jnp.where(is_cut | stays, to_end[number], jnp.where(is_used, 0.0, rest))
             rest = jnp.where(rest <= ROUNDING, 0.0, rest)
         # A wall behind the end of the budget stops nobody.
         return Drive(poses, reaches, self.collided & ~is_cut, self.exited & ~is_cut), rest
+
+
+def is_rounding(length: Float[Array, ""], start: Float[Array, "3"]) -> Bool[Array, ""]:
+    """Whether a path from a pose is so short, m, that its poses differ by rounding alone."""
+    eps = jnp.finfo(length.dtype).eps
+    return length <= 100.0 * eps * (1.0 + jnp.max(jnp.abs(start[:2])))
 
 
 @eqx.filter_jit  # traced and lowered once where a program drives several times

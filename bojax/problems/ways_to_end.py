@@ -12,7 +12,7 @@ from bojax.models.checks import is_known
 from bojax.motions.base import Path, Pose
 from bojax.motions.polylines import headings_along, lengths_along, points_along
 from bojax.problems.budgets import check_reach
-from bojax.problems.walls import ROUNDING, Boxes, Drive
+from bojax.problems.walls import ROUNDING, Boxes, Drive, is_rounding
 
 
 class WaysToEnd(eqx.Module):
@@ -76,13 +76,14 @@ class WaysToEnd(eqx.Module):
     def drive(self, pose: Pose, path: Path) -> tuple[Drive, Float[Array, ""]]:
         """The part of the way from a pose that is as long as a path, and the distance left to the end.
 
-        Poses are as far apart as those of the path, but for corners. Those beyond the end are not driven.
+        Poses are as far apart as those of the path, but for corners. Those beyond the end are not driven. For
+        a path that stays where it is, the part is the whole way.
         """
         way, size = self.way(pose[:2]), path.shape[0]
-        step = lengths_along(jnp.pad(path[:, :2], ((1, 0), (0, 0))))[-1] / size
+        length, total = lengths_along(jnp.pad(path[:, :2], ((1, 0), (0, 0))))[-1], lengths_along(way)[-1]
+        step = jnp.where(is_rounding(length, pose), total, length) / size
         index = jnp.arange(1, size + 1, dtype=jnp.int32)
         points, driven = points_along(way, step * index.astype(step.dtype), step)
-        total = lengths_along(way)[-1]
         rest = jnp.maximum(total - driven[-1], 0.0)
         # The first pose at the end is driven, and those after it repeat it.
         before = jnp.concatenate([jnp.zeros((1,), driven.dtype), driven[:-1]])

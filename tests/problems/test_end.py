@@ -81,6 +81,18 @@ def test_simulations_and_the_world_end_at_the_point():
     assert driven <= BUDGET + 1e-9
 
 
+def test_a_robot_that_stays_drives_to_the_end():
+    world = dataclasses.replace(HOMING, start=f64([1.0, 0.4, 0.0]), noise=f64(0.0)).reset(jax.random.key(0))
+    execute, found = jax.jit(type(HOMING).execute), []
+    for _ in range(2):
+        world, samples, events = execute(HOMING, jax.random.key(2), world, f64(np.zeros((SIZE, 3))))
+        found.append((samples.pose[:2].tolist(), float(world.left), bool(events.success)))
+    np.testing.assert_allclose(found[0][0], [1.0, 0.4])
+    assert found[0][1:] == (pytest.approx(0.6), False)
+    np.testing.assert_allclose(found[1][0], END)
+    assert found[1][1:] == (0.0, True)
+
+
 def test_points_along_a_polyline_include_its_corners():
     corners = np.array([[0.0, 0.0], [1.05, 0.0], [1.05, 0.9], [1.05, 0.9]])
     points, moved = points_along(f64(corners), f64([0.5, 1.0, 1.5, 2.0, 2.5]), f64(0.5))
