@@ -20,9 +20,6 @@ from bojax.engine import program_cache
 from bojax.engine.devices import Device
 from bojax.engine.program_cache import EXECUTABLES, Loaded
 
-PLATFORMS = ("cpu",)
-"""Platforms on which programs are kept here: not on GPUs, where loading them so has not been tested yet."""
-
 _FAST = 1
 """Level of compression: higher ones take longer and save little."""
 
@@ -33,8 +30,6 @@ def save(key: str, device: Device, loaded: Loaded) -> None:
     All must have been compiled in this process: what XLA writes of a program for a CPU that it has read lacks
     functions, which is noticed only when the program is called.
     """
-    if device.platform not in PLATFORMS:
-        return
     with contextlib.suppress(Exception):  # of JAX: the next sweep lowers them again
         programs = {name: serialize_executable.serialize(made) for name, made in loaded.programs.items()}
         carry = [(leaf.shape, leaf.dtype) for leaf in loaded.carry]
@@ -44,9 +39,7 @@ def save(key: str, device: Device, loaded: Loaded) -> None:
 
 def load(key: str | None, device: Device) -> Loaded | None:
     """The compiled programs of a group on a device; None if they are not saved, or cannot be loaded."""
-    if key is None or device.platform not in PLATFORMS:
-        return None
-    if not program_cache.is_saved(key):  # other devices need the traced programs
+    if key is None or not program_cache.is_saved(key):  # other devices need the traced programs
         return None
     content = program_cache.read(_name(key, device), EXECUTABLES)
     if content is None:
