@@ -15,6 +15,7 @@ from bojax.engine.groups import StaticGroup, nodes_with, static_groups
 from bojax.engine.memory import check_memory
 from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
+from bojax.numerics.pallas import for_another_machine
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Point, Sweep
@@ -83,7 +84,8 @@ def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapp
         for point, config in zip(sweep.points, configs, strict=True)
     ]
     of_worker = replace(sweep, points=tuple(points))
-    return replace(_make_plan(of_worker, _modules(of_worker), device), sweep=sweep)
+    with for_another_machine():
+        return replace(_make_plan(of_worker, _modules(of_worker), device), sweep=sweep)
 
 
 def _modules(sweep: "Sweep") -> list[Experiment]:

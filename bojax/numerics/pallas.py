@@ -3,14 +3,18 @@
 In the loop of a search, each kernel takes 1 us or more on an H200, however small its work is.
 """
 
+import contextlib
 import importlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from typing import TypeVar
 
 import jax
 
 T = TypeVar("T")  # A tree of arrays
+
+_is_elsewhere: ContextVar[bool] = ContextVar("is_elsewhere", default=False)
 
 
 def kernels_run_here() -> bool:
@@ -18,6 +22,21 @@ def kernels_run_here() -> bool:
     capability = getattr(jax.devices()[0], "compute_capability", "")
     version = re.fullmatch(r"(\d+)\.\d+", capability)
     return version is not None and int(version[1]) >= 8
+
+
+@contextlib.contextmanager
+def for_another_machine() -> Iterator[None]:
+    """Context in which modules are built whose programs another machine runs: this one may lack its GPU."""
+    token = _is_elsewhere.set(True)
+    try:
+        yield
+    finally:
+        _is_elsewhere.reset(token)
+
+
+def kernels_are_refused() -> bool:
+    """Whether kernels of modules that are built now would have to run here, and cannot."""
+    return not (_is_elsewhere.get() or kernels_run_here())
 
 
 def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T], *args: jax.Array) -> T:

@@ -5,7 +5,7 @@ import pytest
 
 import bojax.robots.simulator
 from bojax.config.sweep import load_config
-from bojax.engine.plan import make_plan
+from bojax.engine.plan import make_plan, plan_made_elsewhere
 
 
 def content(name: str, *changes: str):
@@ -35,3 +35,14 @@ def test_a_plan_without_such_settings_has_the_config_as_it_is():
     sweep = load_config("mountain-car", [])
     plan = make_plan(sweep, jax.devices()[:1])
     assert plan.content["points"][0]["config"] == sweep.points[0].config.model_dump(mode="json")
+
+
+def test_a_driver_without_a_gpu_takes_the_plan_of_a_worker_with_kernels():
+    sweep = load_config("hopper", [])
+    own = make_plan(sweep, jax.devices()[:1])
+    (point,) = own.content["points"]
+    config = {**point["config"], "env": {**point["config"]["env"], "physics": {"impl": "pallas"}}}
+    content = {**own.content, "points": [{**point, "config": config}]}
+    plan = plan_made_elsewhere(sweep, content, {"platform": "gpu", "kind": "A"})
+    assert plan.content["points"][0]["config"]["env"]["physics"]["impl"] == "pallas"
+    assert plan.content["device"] == {"platform": "gpu", "kind": "A"}
