@@ -72,6 +72,9 @@ def _summary(survey: Mapping[str, Any]) -> str:
     if chosen is mower:
         return f"{text}."
     gain = 1.0 - chosen["errors"][-1] / mower["errors"][-1]
+    if gain < 0.0:  # only with a separation that no lawnmower keeps
+        left = number(mower["errors"][-1])
+        return f"{text}. The best lawnmower leaves less, {left}, but its robots come closer than asked."
     return f"{text}, {100 * gain:.1f}% less than the best lawnmower ({number(mower['errors'][-1])})."
 
 

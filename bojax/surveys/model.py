@@ -37,6 +37,7 @@ class FieldModel:
         source: Where the numbers come from, for the report.
         mean: Mean of the field.
         seen: Points `[N, 2]`, m, and values `[N]` of the earlier survey; None without one.
+        is_elsewhere: Whether all points of the earlier survey lie outside the bounds of the area.
     """
 
     lengthscale: float
@@ -45,6 +46,7 @@ class FieldModel:
     source: str
     mean: float = 0.0
     seen: tuple[np.ndarray, np.ndarray] | None = None
+    is_elsewhere: bool = False
 
     def belief(self) -> GaussianProcess:
         """The belief about the field before the survey; inputs are in metres."""
@@ -90,6 +92,9 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     points, values = _read_values(file, place)
     if len(values) < 10:
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
+    x_min, y_min, x_max, y_max = place.area.bounds
+    is_within = (points >= [x_min, y_min]) & (points <= [x_max, y_max])
+    is_elsewhere = not is_within.all(axis=1).any()
     chosen = np.random.default_rng(0).permutation(len(values))[:MOST_SEEN]
     seen = points[chosen], values[chosen]
     points, values = (each[:MOST_POINTS] for each in seen)
@@ -114,7 +119,7 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     mean = float(values.mean()) + scale * float(learned.mean.value)
     std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
     source = f"learned from {len(values)} values of {Path(file).name}"
-    return FieldModel(lengthscale or found, std, noise, source, mean, seen)
+    return FieldModel(lengthscale or found, std, noise, source, mean, seen, is_elsewhere)
 
 
 def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,8 @@ from bojax.cli.main import main  # noqa: E402
 from bojax.config.sweep import load_config, load_sweep  # noqa: E402
 from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.engine.build import build  # noqa: E402
-from bojax.surveys import planning, simulated  # noqa: E402
+from bojax.report.surveying import survey_summary  # noqa: E402
+from bojax.surveys import model, planning, simulated  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
 from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
@@ -216,6 +217,27 @@ def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, capsys):
     ):
         assert main(["survey", "100x100", "--prior", file]) == 2
         assert f"error: {file}: {message}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("at", "is_noted"), [(20.0, False), (5000.0, True)])
+def test_an_earlier_survey_elsewhere_is_named(tmp_path, monkeypatch, capsys, at, is_noted):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
+    (tmp_path / "old.csv").write_text("x,y,z\n" + "\n".join(f"{at + i},{i % 7},{i % 5}" for i in range(30)))
+    words = ["100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower", "--out", "out"]
+    assert main(["survey", *words]) == 0
+    note = "note: old.csv: no value lies in the area; the model is learned from them."
+    assert (note in capsys.readouterr().out) == is_noted
+
+
+def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
+    best = {"name": "route, optimised", "method": "route", "errors": [1.0, 0.3]}
+    close = {"name": "lawnmower", "method": "lawnmower", "errors": [1.0, 0.2]}
+    candidates = [each | {"length": 100.0, "routes": [[], []]} for each in (best, close)]
+    survey = {"candidates": candidates, "goal": {"meaning": "over the area"}}
+    (tmp_path / "survey.json").write_text(json.dumps(survey))
+    end = "The best lawnmower leaves less, 0.200, but its robots come closer than asked."
+    assert survey_summary(tmp_path).endswith(end)
 
 
 def test_the_config_of_a_survey_runs_as_it_is(tmp_path):
