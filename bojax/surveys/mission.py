@@ -19,7 +19,7 @@ from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
-from bojax.surveys.route import Route, RouteOptions, plan_route, spread_points, stays_inside
+from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_route, spread_points, stays_inside
 from bojax.surveys.search import Search, part_around
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
@@ -134,9 +134,9 @@ class Mission:
         entry = self._entry()
         to_entry = float(np.linalg.norm(entry - self.position))
         left = self.remaining - to_entry
-        to_end = 0.0 if self.end is None else float(np.linalg.norm(self.end - entry))
-        if left <= max(self.spacing, to_end):
-            return NOTHING if self.end is None else self.end[None]
+        to_end = self._way_to_end(entry)
+        if left <= max(self.spacing, length_of(to_end) * (1.0 + ROUNDING)):
+            return NOTHING if self.end is None else to_end if to_entry > 0.0 else to_end[1:]
         self._plans += 1
         with jax.enable_x64(True):
             self.route = (
@@ -144,6 +144,16 @@ class Mission:
             )
         route = self.route.waypoints
         return route if to_entry > 0.0 else route[1:]
+
+    def _way_to_end(self, entry: Waypoints) -> Waypoints:
+        """The shortest way in the area to the end; a straight one if there is none, or no end."""
+        straight = np.stack([entry, entry if self.end is None else self.end])
+        if stays_inside(straight, self.area):
+            return straight
+        try:
+            return part_around(self.area, entry)[1].path(*straight)
+        except ValueError:
+            return straight
 
     def _descended(self, entry: Waypoints, left: float) -> Route:
         """A route of least expected error at the places that count."""

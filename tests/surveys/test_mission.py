@@ -105,6 +105,22 @@ def test_a_used_budget_ends_the_mission():
     assert survey.plan().shape == (0, 2)
 
 
+@pytest.mark.parametrize("goal", ["map", "hotspots"])
+@pytest.mark.parametrize("budget", [8.0, 9.8])
+def test_the_way_to_an_end_behind_a_wall_is_the_plan_of_a_short_budget(goal, budget):
+    pytest.importorskip("shapely")
+    area = SQUARE.without([(np.array([[2.5, -1.0], [3.5, -1.0], [3.5, 5.0], [2.5, 5.0]]),)])
+    survey = mission(area=area, budget=budget + 1e-3, end=[5.0, 1.0], goal=goal)
+    survey.observe([[1.0, 1.001]], [1.0])
+    waypoints = survey.plan()
+    route = np.concatenate([survey.position[None], waypoints])
+    assert stays_inside(route, area)
+    np.testing.assert_allclose(route[-1], [5.0, 1.0])
+    shortest = 2 * np.hypot(1.5, 4.0) + 1.0
+    assert shortest - 2e-3 <= length_of(route) <= max(budget, shortest) + 1e-6
+    assert len(waypoints) == 3 or budget > shortest
+
+
 def test_a_robot_outside_the_area_comes_back():
     survey = mission()
     survey.observe([], [], [-1.0, 3.0])
