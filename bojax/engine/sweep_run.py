@@ -122,6 +122,9 @@ class SweepRun:
         if merged.num_ignoring:
             what = "runs left out samples: see column ignored_samples of runs.parquet"
             say(f"warning: {merged.num_ignoring} {what}")
+        if merged.num_unsampled:
+            what = "runs took no sample, or only where the field is flat (are paths longer than the domain?)"
+            say(f"warning: {merged.num_unsampled} {what}: see column sampled_gradient of runs.parquet")
         print(self.path)
         if merged.errors:
             reasons = dict.fromkeys(merged.errors.values())

@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,7 @@ class Merged:
         errors: Why chunks have failed, by index.
         nans: Number of NaNs of each (point, run) that has any.
         num_ignoring: Number of runs whose belief left out samples.
+        num_unsampled: Number of runs on fields without a sample where the field has a slope.
         sha256: SHA-256 of the tables and of the snapshots, by path in the results folder.
     """
 
@@ -69,6 +70,7 @@ class Merged:
     errors: Mapping[int, str]
     nans: Mapping[tuple[int, int], int]
     num_ignoring: int
+    num_unsampled: int
     sha256: Mapping[str, str]
 
 
@@ -112,7 +114,8 @@ def merge(
             if chunk.name in attempts.failed and chunk.name not in attempts.done
         },
         nans=nans,
-        num_ignoring=_num_ignoring_samples(folder),
+        num_ignoring=_num_runs(folder, "ignored_samples", lambda values: values > 0),
+        num_unsampled=_num_runs(folder, "sampled_gradient", lambda values: values == 0.0),
         sha256=_checksums(folder, [*pieces, TIMINGS], done),
     )
 
@@ -168,11 +171,12 @@ def _checksums(folder: Path, tables: Iterable[str], chunks: Iterable[ChunkFolder
     return {name: each["sha256"] for name, each in found.items() if each is not None}
 
 
-def _num_ignoring_samples(folder: Path) -> int:
-    path, column = folder / f"{RUNS}.parquet", "ignored_samples"
+def _num_runs(folder: Path, column: str, is_counted: Callable[[np.ndarray], np.ndarray]) -> int:
+    """Number of runs whose value in a column counts; 0 without the column."""
+    path = folder / f"{RUNS}.parquet"
     if not path.is_file() or column not in read_footer(path).schema.names:
         return 0
-    return int(np.sum(read_table(path, [column])[column].to_numpy() > 0))
+    return int(np.sum(is_counted(read_table(path, [column])[column].to_numpy())))
 
 
 def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:

@@ -164,6 +164,12 @@ def test_runs_whose_belief_left_out_samples_are_counted(tmp_path):
         assert merged.num_ignoring == 2 * number
 
 
+def test_runs_without_a_sample_are_counted(tmp_path):
+    runs = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32)}
+    done(attempt(tmp_path), pa.table(runs | {"sampled_gradient": np.array([0.0, 0.3, 0.0])}), table="runs")
+    assert merge(tmp_path, CHUNKS, ["runs"], POINTS, seed=0).num_unsampled == 2
+
+
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
     chunk = new_folder(tmp_path)
     chunk.write_piece({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
