@@ -1,5 +1,7 @@
 """The league maps what a route measures, and scores maps and sets as a plain computation does."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
@@ -15,14 +17,25 @@ from bojax.surveys.league.fields import (  # noqa: E402
     SQUARE,
     VARIANCE,
     Field,
+    league,
 )
-from bojax.surveys.league.routes import GRID, SPACING, adaptive_route, noises, peers, start_of  # noqa: E402
+from bojax.surveys.league.routes import (  # noqa: E402
+    GRID,
+    SPACING,
+    adaptive_route,
+    map_routes,
+    noises,
+    peers,
+    start_of,
+    surveyed,
+)
 from bojax.surveys.league.scores import scores_of, threshold_of  # noqa: E402
 from bojax.surveys.mission import Mission  # noqa: E402
 from bojax.surveys.polylines import length_of, points_along  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 
 FIELD = Field("waves", SQUARE, lambda points: np.sin(points[:, 0]) + 0.1 * points[:, 1])
+PLACES = ("square", "coast", "new-guinea", "course")
 ROUTE = np.array([[1.0, 1.0], [9.0, 1.0], [9.0, 8.0]])
 
 
@@ -79,12 +92,33 @@ def _noting(seen, observe):
     return noted
 
 
-def test_stored_routes_keep_their_length():
-    for length in LENGTHS:
-        for key in ("sgptools", "lawnmower"):
-            for path, start in zip(peers()[f"{key}-{length}"], peers()["starts"], strict=True):
-                np.testing.assert_allclose(path[0], start[:2], atol=1e-3)
-                assert length_of(np.array(path)) <= length * 1.01
+@pytest.mark.parametrize("length", LENGTHS)
+def test_stored_routes_keep_their_length_and_stay_in_their_area(length):
+    routes = {key for key in peers() if key.endswith(f"-{length}")}
+    assert routes == {f"{key}-{length}" for key in ("lawnmower-square", *map("sgptools-{}".format, PLACES))}
+    for field in {field.place: field for field in league()}.values():
+        part = surveyed(field.area)
+        for name in ("sgptools", "lawnmower"):
+            for index, path in enumerate(peers().get(f"{name}-{field.place}-{length}", ())):
+                route = np.array(path)
+                np.testing.assert_allclose(route[0], start_of(part, index), atol=1e-3)
+                assert length_of(route) <= length * 1.003
+                dense = points_along(route, np.arange(0.0, length_of(route), 0.02))
+                assert part.distances(dense).min() > -1e-3
+
+
+def test_a_stored_route_is_among_those_of_its_place(monkeypatch):
+    course = Field("course", SQUARE, FIELD.value)
+    monkeypatch.setattr(Field, "place", property(lambda field: field.name))
+    planned = SimpleNamespace(routes=[ROUTE])
+    survey = SimpleNamespace(chosen=planned, lawnmower=planned)
+    monkeypatch.setattr(routes, "plan_survey", lambda *given: survey)
+    monkeypatch.setattr(routes, "myopic_route", lambda *given: ROUTE)
+    found, _ = map_routes(course, 20, 3)
+    np.testing.assert_array_equal(found["SGP-Tools"], peers()["sgptools-course-20"][3])
+    assert "lawnmower from a corner" not in found
+    found, _ = map_routes(Field("square", SQUARE, FIELD.value), 40, 3)
+    np.testing.assert_array_equal(found["lawnmower from a corner"], peers()["lawnmower-square-40"][3])
 
 
 def test_places_share_their_routes():

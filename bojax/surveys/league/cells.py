@@ -36,7 +36,7 @@ class Cell:
         """Its routes, and the scores of each on each field."""
         seconds = None
         if self.goal == "map":
-            routes, seconds = map_routes(self.fields[0].area, self.length, self.start)
+            routes, seconds = map_routes(self.fields[0], self.length, self.start)
         else:
             (field,) = self.fields
             goal = f"threshold={threshold_of(field)}" if self.goal == "threshold" else self.goal

@@ -1,7 +1,7 @@
 """Routes of every method of the league from one start.
 
-The starts are stored in `peers.json`. For the empty square it also has the routes of SGP-Tools 2.0.7 (its
-ContinuousSGP) and of a lawnmower that begins at the nearest corner, with the date on which they were made.
+The starts are stored in `peers.json`, with the routes of SGP-Tools 2.0.7 that `benchmarks/sgptools_paths.py`
+has made, and for the empty square those of a lawnmower that begins at the nearest corner.
 """
 
 import json
@@ -18,7 +18,7 @@ from bojax.areas.area import Area
 from bojax.areas.shapes import to_area
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import Ground
-from bojax.surveys.league.fields import LENGTHSCALE, MODEL, NOISE_VARIANCE, SQUARE, VARIANCE, Field
+from bojax.surveys.league.fields import LENGTHSCALE, MODEL, NOISE_VARIANCE, VARIANCE, Field
 from bojax.surveys.league.rivals import myopic_route, random_route
 from bojax.surveys.mission import Mission
 from bojax.surveys.planning import Demand, plan_survey
@@ -38,10 +38,13 @@ STORED = {"lawnmower from a corner": "lawnmower", "SGP-Tools": "sgptools"}
 """Methods with stored routes, and the beginnings of their keys in `peers.json`."""
 
 
+PEERS = Path(__file__).with_name("peers.json")
+
+
 @cache
 def peers() -> dict[str, Any]:
-    """The starts, and the stored routes by method and length."""
-    return json.loads(Path(__file__).with_name("peers.json").read_text())
+    """The starts, and the stored routes by method, place and length."""
+    return json.loads(PEERS.read_text())
 
 
 def surveyed(area: Area) -> Area:
@@ -58,9 +61,9 @@ def start_of(part: Area, index: int) -> Waypoints:
     return points[cdist([stored], points).argmin()]
 
 
-def map_routes(area: Area, length: float, index: int) -> tuple[dict[str, Waypoints], float]:
+def map_routes(field: Field, length: float, index: int) -> tuple[dict[str, Waypoints], float]:
     """The routes of all methods that do not depend on values, and the CPU seconds of `bojax survey`."""
-    part = surveyed(area)
+    part = surveyed(field.area)
     start = start_of(part, index)
     begin = time.process_time()
     survey = plan_survey(part, MODEL, Demand(length, start, sampling=SPACING))
@@ -72,9 +75,9 @@ def map_routes(area: Area, length: float, index: int) -> tuple[dict[str, Waypoin
         "myopic": myopic_route(part, errors, length, start, SPACING),
         "random": random_route(part, length, start, index),
     }
-    if area is SQUARE:
-        stored = peers()
-        routes |= {name: np.asarray(stored[f"{key}-{length:g}"][index]) for name, key in STORED.items()}
+    for name, key in STORED.items():
+        if stored := peers().get(f"{key}-{field.place}-{length:g}"):
+            routes[name] = np.asarray(stored[index])
     return routes, seconds
 
 
