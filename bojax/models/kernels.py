@@ -3,13 +3,14 @@
 import abc
 import functools
 import operator
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Scalar
 from typing_extensions import override
 
@@ -19,8 +20,16 @@ from bojax.models.names import by_name
 KernelName: TypeAlias = str | Mapping[str, Any]
 """A kernel as in a config file: its name, or a mapping with its `kind` and settings."""
 
+_BORDER = 1e-6
+"""Share of a box that counts as its border."""
+
 FAR = 1e3
 """Maximum scaled distance, to which longer ones are reduced; every covariance underflows to 0 before it."""
+
+
+def _floats(numbers: float | Iterable[float]) -> tuple[float, ...]:
+    """Numbers as a tuple; a single one has a dimension of its own."""
+    return tuple(map(float, np.atleast_1d(np.asarray(numbers, float))))
 
 
 class Kernel(eqx.Module):
@@ -142,6 +151,48 @@ class Scaled(Kernel):
     @override
     def scaled(self, variance: Float[Array, ""]) -> Kernel:
         return Scaled(self.kernel, self.variance * variance)
+
+
+class Warped(Kernel):
+    """A kernel of warped inputs, whose functions vary faster in one part of a box than in another.
+
+    Each coordinate u in [0, 1] of the box becomes 1 - (1 - u^a)^b, the distribution function of Kumaraswamy
+    (Snoek et al., Input warping for Bayesian optimization of non-stationary functions, 2014, with the beta
+    distribution, which it resembles). With a = b = 1, and outside the box, inputs stay as they are.
+
+    Settings: `bojax.models.settings.Warped`.
+
+    Attributes:
+        kernel: The kernel of the warped inputs, in units of the input.
+        a: First exponent, of all dimensions or of each. With a > 1, functions vary slowly near `low`.
+        b: Second exponent. With b > 1, functions vary slowly near `high`.
+        low: Lower corner of the box; not learned.
+        high: Upper corner.
+    """
+
+    kernel: Kernel
+    a: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("a"))
+    b: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("b"))
+    low: tuple[float, ...] = eqx.field(static=True, converter=_floats)
+    high: tuple[float, ...] = eqx.field(static=True, converter=_floats)
+
+    def __check_init__(self):
+        """Check the box."""
+        if len(self.low) != len(self.high) or not np.all(np.less(self.low, self.high)):
+            got = f"{list(self.low)} and {list(self.high)}"
+            raise ValueError(f"low, high: got {got}; allowed: corners of a box, low < high in each dimension")
+
+    @override
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        return self.kernel(self._warped(x), self._warped(y))
+
+    def _warped(self, x: Float[Array, "D"]) -> Float[Array, "D"]:
+        low, high = (jnp.asarray(each, x.dtype) for each in (self.low, self.high))
+        u = (x - low) / (high - low)
+        # Powers have infinite derivatives at 0: the last 1e-6 of the box count as its border.
+        inner = jnp.clip(u, _BORDER, 1.0 - _BORDER)
+        warped = 1.0 - (1.0 - inner**self.a) ** self.b
+        return low + (high - low) * jnp.where((u > 0.0) & (u < 1.0), warped, u)
 
 
 class _Stretched(Kernel):

@@ -79,6 +79,26 @@ class Scaled(KernelSettings, frozen=True):
     )
 
 
+class Warped(KernelSettings, frozen=True):
+    """A kernel of warped inputs: functions vary faster in one part of a box than in another."""
+
+    target: ClassVar[str] = "bojax.models.kernels:Warped"
+    kind: Literal["warped"] = "warped"
+    kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel of warped inputs")
+    a: PositiveNumbers = Field(
+        default=1.0, description="above 1, functions vary slowly near low: one number, or one a dimension"
+    )
+    b: PositiveNumbers = Field(
+        default=1.0, description="above 1, functions vary slowly near high: one number, or one a dimension"
+    )
+    low: tuple[float, ...] = Field(
+        default=(0.0, 0.0), min_length=1, strict=False, description="lower corner of the box"
+    )
+    high: tuple[float, ...] = Field(
+        default=(1.0, 1.0), min_length=1, strict=False, description="upper corner of the box"
+    )
+
+
 class _Composite(KernelSettings, frozen=True):
     first: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="first kernel")
     second: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="second kernel")

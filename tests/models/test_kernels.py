@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from sklearn.gaussian_process import kernels as sk
 
-from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
+from bojax.models.evidence import relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled, Warped, as_kernel
 from tests.refusals import assert_refused
 from tests.tiers import by_tier
 
@@ -102,3 +104,63 @@ def test_numbers_and_lists_become_arrays(kernel):
     # One coordinate and two lengthscales would be broadcast in silence.
     each = "lengthscale: got 2 numbers; allowed: 1, or one for each dimension: 1"
     assert_refused([(lambda: kernel([0.5, 1.0]).gram(line, line), each)])
+
+
+BOX = {"low": [-1.0, 0.0], "high": [1.0, 4.0]}
+
+
+def warped_by_numpy(points, a, b):
+    """Kumaraswamy's distribution function within the box, and the identity outside of it."""
+    low, high = np.asarray(BOX["low"]), np.asarray(BOX["high"])
+    share = (points - low) / (high - low)
+    inside = np.clip(share, 0.0, 1.0)
+    return low + (high - low) * np.where(inside == share, 1.0 - (1.0 - inside**a) ** b, share)
+
+
+def test_a_warped_kernel_is_the_kernel_of_warped_inputs():
+    xs = np.random.default_rng(0).uniform([-1.2, -0.5], [1.2, 4.5], (40, 2))
+    a, b = [0.5, 2.0], [3.0, 0.8]
+    kernel = Warped(Matern32(0.7), a, b, **BOX)
+    warped = warped_by_numpy(xs, np.asarray(a), np.asarray(b))
+    np.testing.assert_allclose(
+        gram(kernel, jnp.asarray(xs), jnp.asarray(xs)), sk.Matern(0.7, nu=1.5)(warped), rtol=1e-9
+    )
+
+
+def test_exponents_of_one_leave_the_inputs_as_they_are():
+    xs = jnp.asarray(np.random.default_rng(1).uniform([-1.0, 0.0], [1.0, 4.0], (20, 2)))
+    plain = gram(RBF(0.5), xs, xs)
+    np.testing.assert_allclose(gram(Warped(RBF(0.5), 1.0, 1.0, **BOX), xs, xs), plain, rtol=1e-9)
+
+
+def test_gradients_of_a_warped_kernel_are_finite_at_the_border():
+    corner = jnp.asarray([-1.0, 0.0])
+    kernel = Warped(RBF(0.5), 0.5, [2.0, 0.5], **BOX)
+    gradients = jax.grad(lambda kernel, x, y: kernel(x, y), argnums=(0, 1))(kernel, corner, corner + 0.1)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradients))
+
+
+def test_learned_exponents_fit_a_function_that_varies_faster_at_one_end():
+    x = np.sort(np.random.default_rng(2).uniform(0.0, 1.0, (40, 1)), axis=0)
+    y = np.sin(12.0 * x[:, 0] ** 3)  # slow near 0, fast near 1
+    evidences = {}
+    for name, kernel in {
+        "stationary": Scaled(RBF(0.2), 1.0),
+        "warped": Scaled(Warped(RBF(0.2), 1.0, 1.0, low=0.0, high=1.0), 1.0),
+    }.items():
+        learned, _ = relearn(GaussianProcess.fit(kernel, 1e-4, x, y, capacity=40), jax.random.key(0))
+        evidences[name] = float(learned.log_marginal_likelihood())
+    assert evidences["warped"] > evidences["stationary"] + 10.0
+    assert float(learned.kernel.kernel.a) > 1.5
+
+
+def test_a_warped_kernel_can_be_named_and_stretched():
+    kernel = as_kernel({"kind": "warped", "kernel": "rbf", "a": [1.0, 2.0], **BOX})
+    x, y = jnp.asarray([0.2, 1.0]), jnp.asarray([-0.5, 3.0])
+    np.testing.assert_allclose(kernel.stretched(jnp.asarray(2.0))(2.0 * x, 2.0 * y), kernel(x, y), rtol=1e-12)
+
+
+@pytest.mark.parametrize(("low", "high"), [([0.0], [1.0, 1.0]), ([0.0, 1.0], [1.0, 1.0])])
+def test_a_box_without_volume_is_refused(low, high):
+    with pytest.raises(ValueError, match="low, high: got .*; allowed: corners of a box"):
+        Warped(RBF(0.5), 1.0, 1.0, low=low, high=high)
