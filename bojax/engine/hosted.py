@@ -118,14 +118,15 @@ class Hosted(Programs):
 
     def _step(self, action: Array) -> TimeStep:
         """Step the environments and return their time steps."""
-        observation, reward, terminated, truncated, _ = self._vector.step(np.asarray(action))
+        observation, reward, terminated, truncated, info = self._vector.step(np.asarray(action))
+        told = info.get("success", np.zeros(self.num_lanes, bool))
         reward, terminated = self._put(reward), self._put(terminated)
         return TimeStep(
             observation=self._put(observation),
             reward=reward,
             terminated=terminated,
             truncated=self._put(truncated),
-            success=self._env.is_success(reward, terminated),
+            success=self._env.is_success(reward, terminated, self._put(told)),
         )
 
     def _put(self, values: Any) -> Array:

@@ -18,7 +18,7 @@ from bojax.envs.adapter import Adapter
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Space
 from bojax.numerics.trial import Misfit
-from bojax.text import error_line
+from bojax.text import error_line, one_line
 
 try:
     import gymnasium
@@ -35,6 +35,9 @@ _TRIAL_STEPS = 10
 
 _REAL = "biuf"
 """Kinds of NumPy's dtypes of real numbers."""
+
+_SUCCESS_KEYS = ("is_success", "success")
+"""Keys of `info` that tell success: of Gymnasium-Robotics and Stable-Baselines3, and of Meta-World."""
 
 
 class GymnasiumEnv(gymnasium.Env):
@@ -114,7 +117,8 @@ class HostEnv(Env):
     id: str = eqx.field(static=True)
     kwargs: str = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
-    success: Literal["never", "terminated", "reward"] = eqx.field(static=True)
+    success: Literal["never", "terminated", "reward", "info"] = eqx.field(static=True)
+    success_key: str | None = eqx.field(static=True)
     observations: Space
     actions: Space
 
@@ -126,7 +130,8 @@ class HostEnv(Env):
         id: str,
         kwargs: Mapping[str, Any],
         max_steps: int | None,
-        success: Literal["never", "terminated", "reward"],
+        success: Literal["never", "terminated", "reward", "info"],
+        success_key: str | None,
     ):
         """Create an environment and check that it matches its declarations.
 
@@ -134,10 +139,12 @@ class HostEnv(Env):
             ValueError: There is no environment of this id, or it cannot be created; a space cannot be a
                 vector, or has infinite bounds and no others are given; the environment has no time
                 limit and none is given; a few trial steps fail, or return values that Gymnasium's interface
-                does not allow, that do not fit the declared space, or that are not finite.
+                does not allow, that do not fit the declared space, or that are not finite; `info` is to tell
+                success, and does not do so in a trial episode.
         """
         self.low, self.high, self.success_reward = low, high, success_reward
         self.id, self.kwargs, self.success = id, json.dumps(dict(kwargs), sort_keys=True), success
+        self.success_key = success_key
         try:
             made = self._made()
             _, _, name = id.rpartition(":")  # `make` has imported the module; `spec` does not know it
@@ -158,7 +165,7 @@ class HostEnv(Env):
             )
         self.max_steps = limit
         has_own_bounds = low is None and high is None
-        _try(Idling(made, self.observations, self.actions), id, limit, dtype, has_own_bounds)
+        _try(self._idling(made), id, limit, dtype, has_own_bounds)
         made.close()
 
     @property
@@ -175,18 +182,22 @@ class HostEnv(Env):
 
     def make(self, **changes: Any) -> gymnasium.Env:
         """A new environment, wrapped by `Idling`, with changes of its `kwargs`."""
-        return Idling(self._made(**changes), self.observations, self.actions)
+        return self._idling(self._made(**changes))
 
     def make_vector(self, num: int) -> gymnasium.vector.SyncVectorEnv:
         """Several environments, stepped together; each waits after its episode for a reset with a seed."""
         return gymnasium.vector.SyncVectorEnv([self.make] * num)
 
-    def is_success(self, reward: Float[Array, "*N"], terminated: Bool[Array, "*N"]) -> Bool[Array, "*N"]:
-        """Whether steps with these rewards and terminations are successes."""
+    def is_success(
+        self, reward: Float[Array, "*N"], terminated: Bool[Array, "*N"], told: Bool[Array, "*N"]
+    ) -> Bool[Array, "*N"]:
+        """Whether steps with these rewards, terminations, and successes told by `info` are successes."""
         if self.success == "terminated":
             return terminated
         if self.success == "reward":
             return reward >= self.success_reward.astype(reward.dtype)
+        if self.success == "info":
+            return told
         return jnp.zeros_like(terminated)
 
     @override
@@ -215,6 +226,10 @@ class HostEnv(Env):
         """Not available, see `reset`."""
         return self.reset(key)
 
+    def _idling(self, made: gymnasium.Env) -> "Idling":
+        keys = (self.success_key,) if self.success_key else _SUCCESS_KEYS
+        return Idling(made, self.observations, self.actions, keys if self.success == "info" else ())
+
     def _made(self, **changes: Any) -> gymnasium.Env:
         if ":" in self.id and str(Path.cwd()) not in sys.path:  # an installed command lacks this entry
             sys.path.insert(0, str(Path.cwd()))
@@ -230,10 +245,18 @@ class Idling(gymnasium.Wrapper):
 
     A `Misfit` is raised by a reset or a step that returns something else than Gymnasium's interface says: by
     environments of the interface before Gymnasium 0.26, or if the observation does not fit its space.
+
+    Attributes:
+        success_keys: The `info` of a step has only `success`, and only if the environment's has one of these
+            keys; the first one counts.
+        told: Keys of the environment's `info` in the last step.
     """
 
-    def __init__(self, env: gymnasium.Env, observations: Space, actions: Space):
+    def __init__(
+        self, env: gymnasium.Env, observations: Space, actions: Space, success_keys: tuple[str, ...] = ()
+    ):
         super().__init__(env)
+        self.success_keys, self.told = success_keys, ()
         self._adapter = GymnasiumAdapter((env.observation_space, env.action_space), observations, actions)
         self.observation_space = to_gymnasium(observations)
         self.action_space = to_gymnasium(actions)
@@ -260,7 +283,7 @@ class Idling(gymnasium.Wrapper):
         if not (isinstance(result, tuple) and len(result) == 5):
             names = "observation, reward, terminated, truncated, info"
             raise self._misfit(f"step returns {_counted(result)}; allowed: 5 ({names})")
-        observation, reward, terminated, truncated, _ = result
+        observation, reward, terminated, truncated, info = result
         if (shape := np.shape(reward)) != ():
             raise self._misfit(f"step returns a reward of shape {shape}, not one number")
         if np.asarray(reward).dtype.kind not in _REAL:
@@ -268,8 +291,22 @@ class Idling(gymnasium.Wrapper):
         for name, flag in (("terminated", terminated), ("truncated", truncated)):
             if np.shape(flag) != () or np.asarray(flag).dtype.kind != "b":
                 raise self._misfit(f"step returns {name} as {type(flag).__name__}; allowed: True or False")
+        if not isinstance(info, Mapping):
+            raise self._misfit(f"step returns info as {type(info).__name__}; allowed: a dictionary")
         self._last, self._has_ended = self._plain("step", observation), bool(terminated or truncated)
-        return self._last, float(reward), bool(terminated), bool(truncated), {}
+        return self._last, float(reward), bool(terminated), bool(truncated), self._success(info)
+
+    def _success(self, info: Mapping[str, Any]) -> dict[str, bool]:
+        """The value of the first success key that `info` has, under the name `success`."""
+        self.told = tuple(info)
+        for key in self.success_keys:
+            if key in info:
+                value = info[key]
+                if np.shape(value) != () or np.asarray(value).dtype.kind not in _REAL or value not in (0, 1):
+                    got = one_line(repr(value))
+                    raise self._misfit(f'step returns info["{key}"] as {got}; allowed: True or False')
+                return {"success": bool(value)}
+        return {}
 
     def _plain(self, method: str, observation: Any) -> Any:
         """The observation that a method returned, as an integer from 0 or a vector."""
@@ -289,7 +326,7 @@ def _counted(result: Any) -> str:
 
 
 def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> None:
-    """Check the observations and the rewards of a few steps under random actions.
+    """Check the observations and the rewards of a few steps under random actions, and that success is told.
 
     Args:
         env: The environment.
@@ -300,8 +337,9 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
     """
     env.action_space.seed(0)
     space, where, has_ended = env.observation_space, "reset", False
-    for number in range(min(limit, _TRIAL_STEPS) + 1):
-        reward = 0.0
+    is_told, names = not env.success_keys, dict[Any, None]()
+    for number in range(limit + 1):
+        reward, told = 0.0, {}
         try:
             # What overflows in the precision of a run is refused below, without NumPy's warning.
             with np.errstate(over="ignore"):
@@ -309,7 +347,7 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
                     observation, _ = env.reset(seed=0)
                 else:
                     where = f"step {number}"
-                    observation, reward, *ends, _ = env.step(env.action_space.sample())
+                    observation, reward, *ends, told = env.step(env.action_space.sample())
                     has_ended = any(ends)
                 finite = np.isfinite(np.asarray(reward, dtype)), np.isfinite(observation)
         except Misfit as error:
@@ -329,8 +367,17 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
                 raise ValueError(
                     f"{id}: the observation of {where} is out of bounds (component {at}): {remedy}"
                 )
-        if has_ended:
+        is_told = is_told or bool(told)
+        names |= dict.fromkeys(env.told)
+        # Some environments tell success in the last step only.
+        if has_ended or (number >= _TRIAL_STEPS and is_told):
             break
+    if not is_told:
+        wanted, found = " or ".join(env.success_keys), ", ".join(map(str, names)) or "nothing"
+        raise ValueError(
+            f"success: got info; {id} has no {wanted} in the info of an episode of {number} steps, "
+            f"but {one_line(found)}; set success_key, or let each step tell it, also as False"
+        )
 
 
 @eqx.filter_jit

@@ -305,14 +305,25 @@ class Gymnasium(EnvironmentSettings, frozen=True):
         ge=1,
         description="number of steps after which an episode is truncated; null for the registered limit",
     )
-    success: Literal["never", "terminated", "reward"] = Field(
+    success: Literal["never", "terminated", "reward", "info"] = Field(
         default="never",
         description="success: never; an episode that ends in a terminal state, even one of failure; "
-        "or a step whose reward is at least success_reward",
+        "a step whose reward is at least success_reward; or a step whose info says so",
     )
     success_reward: float = Field(
         default=1.0, description="smallest reward of a successful step, if success is reward"
     )
+    success_key: str | None = Field(
+        default=None,
+        min_length=1,
+        description="key of info that tells success, if success is info; null for is_success or success",
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _key_counts(self) -> "Gymnasium":
+        if self.success_key is not None and self.success != "info":
+            raise ValueError(f'success_key: got "{self.success_key}"; allowed: null, unless success is info')
+        return self
 
     @pydantic.model_validator(mode="after")
     def _json(self) -> "Gymnasium":

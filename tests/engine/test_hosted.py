@@ -58,16 +58,16 @@ class Corridor(gymnasium.Env):
             raise KeyboardInterrupt
         if os.environ.get(CRASH) and self._place == 3 and self.np_random.uniform() < 0.3:
             os.kill(os.getpid(), signal.SIGSEGV)
-        return self._place, reward, is_end, False, {}
+        return self._place, reward, is_end, False, {"is_success": is_end}
 
 
 gymnasium.register("Corridor-v0", Corridor, max_episode_steps=50)
 
 
 def sweep(runs: int = 6, **settings) -> Sweep:
-    kwargs = settings.pop("kwargs", {})
+    changes = {name: settings.pop(name) for name in ("kwargs", "success") if name in settings}
     learner = EpsilonGreedy(epsilon=0.3, block=4)
-    env = GRID.model_copy(update={"kwargs": kwargs})
+    env = GRID.model_copy(update=changes)
     config = Learning(env=env, learner=learner, episodes=5, tests=2, **settings)
     return Sweep(
         name="corridor",
@@ -117,6 +117,12 @@ def test_runs_to_the_end_and_reports_every_episode(finished):
 
 def test_the_same_seed_gives_the_same_tables(finished, tmp_path):
     assert run_sweep(sweep(), tmp_path / "b", False, ["bojax"]) == 0
+    for name in ("runs", "episodes", "steps"):
+        assert table(finished, name).equals(table(tmp_path / "b", name))
+
+
+def test_success_by_info_is_recorded_as_success_by_the_terminal_state(finished, tmp_path):
+    assert run_sweep(sweep(success="info"), tmp_path / "b", False, ["bojax"]) == 0
     for name in ("runs", "episodes", "steps"):
         assert table(finished, name).equals(table(tmp_path / "b", name))
 

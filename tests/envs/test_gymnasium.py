@@ -62,6 +62,18 @@ class Toy(gymnasium.Env):
         return np.full(self.shape, 0.1 * self.num_steps), self.reward, ends, False, {}
 
 
+class Telling(Toy):
+    """A toy on two numbers whose `info` is a function of the number of the step, and of whether it ends."""
+
+    def __init__(self, tell, ends_after=3):
+        super().__init__(spaces.Box(-10.0, 10.0, (2,)), ends_after=ends_after)
+        self.tell = tell
+
+    def step(self, action):
+        observation, reward, ends, truncated, _ = super().step(action)
+        return observation, reward, ends, truncated, self.tell(self.num_steps, ends)
+
+
 @pytest.fixture
 def toy():
     """Register the toy under a name; its constructor takes what it is given."""
@@ -171,13 +183,71 @@ def test_the_time_limit_of_gymnasium_is_off(toy):
 
 def test_what_counts_as_success():
     rewards, ends = jnp.asarray([0.0, 1.0, 2.0, 2.0]), jnp.asarray([True, False, False, True])
+    told = jnp.asarray([False, False, True, False])
     for settings, expected in (
         ({}, [False, False, False, False]),
         ({"success": "terminated"}, [True, False, False, True]),
         ({"success": "reward", "success_reward": 2.0}, [False, False, True, True]),
     ):
         env = build(envs.Gymnasium(id="MountainCar-v0", **settings), "float32")
-        np.testing.assert_array_equal(env.is_success(rewards, ends), expected)
+        np.testing.assert_array_equal(env.is_success(rewards, ends, told), expected)
+
+
+INFOS = [
+    lambda n, ends: {"is_success": n == 2},  # Gymnasium-Robotics
+    lambda n, ends: {"success": float(n == 2), "unscaled_reward": 1.0},  # Meta-World
+    lambda n, ends: {"is_success": np.bool_(n == 2), "success": True},  # the first key counts
+    lambda n, ends: {"is_success": np.float32(1.0)} if n == 2 else {},
+]
+
+
+@pytest.mark.parametrize("tell", INFOS)
+def test_info_tells_success_lane_by_lane(registered, tell):
+    env = registered(lambda: Telling(tell, ends_after=30), success="info")
+    vector = env.make_vector(2)
+    vector.reset(seed=[0, 1])
+    vector.envs[1].unwrapped.num_steps = 1  # the second lane is one step ahead
+    never = np.zeros(2, bool)
+    found = [vector.step(np.array([0, 0]))[4].get("success", never) for _ in range(4)]
+    np.testing.assert_array_equal(found, [[False, True], [True, False], [False, False], [False, False]])
+
+
+def test_success_is_told_by_another_key_and_at_the_end_of_an_episode(registered):
+    registered(lambda: Telling(lambda n, ends: {"solved": n > 2}), success="info", success_key="solved")
+    env = registered(
+        lambda: Telling(lambda n, ends: {"is_success": True} if ends else {}, ends_after=15), success="info"
+    )
+    vector = env.make_vector(1)
+    vector.reset(seed=[0])
+    told = ["success" in vector.step(np.array([0]))[4] for _ in range(16)]
+    assert told == [False] * 14 + [True, False]
+
+
+def test_info_that_does_not_tell_success_is_refused(registered):
+    missing = r"success: got info; Odd\d+-v0 has no {} in the info of an episode of {} steps, but {}; set"
+    both, value = "is_success or success", r'step returns info\["is_success"\] as {}; allowed: True or False'
+    bad = [
+        (lambda n, ends: {}, {}, missing.format(both, 3, "nothing")),
+        (lambda n, ends: {"score": 1, "won": False}, {}, missing.format(both, 3, "score, won")),
+        (lambda n, ends: {"won": 1}, {"ends_after": -1}, missing.format(both, 20, "won")),
+        (
+            lambda n, ends: {"is_success": True},
+            {"success_key": "won"},
+            missing.format("won", 3, "is_success"),
+        ),
+        (lambda n, ends: {"is_success": "yes"}, {}, value.format("'yes'")),
+        (lambda n, ends: {"is_success": 0.5}, {}, value.format("0.5")),
+        (lambda n, ends: {"is_success": np.nan}, {}, value.format("nan")),
+        (lambda n, ends: {"is_success": np.array([True])}, {}, value.format(r"array\(\[ True\]\)")),
+        (lambda n, ends: None, {}, "step returns info as NoneType; allowed: a dictionary"),
+    ]
+
+    def made(tell, ends_after=3, **settings):
+        return registered(lambda: Telling(tell, ends_after=ends_after), success="info", **settings)
+
+    assert_refused([(lambda t=t, s=s: made(t, **s), message) for t, s, message in bad], ConfigError)
+    with pytest.raises(ValueError, match='success_key: got "won"; allowed: null, unless success is info'):
+        envs.Gymnasium(id="Toy-v0", success="reward", success_key="won")
 
 
 def test_it_cannot_be_compiled():
