@@ -337,7 +337,7 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
     """
     env.action_space.seed(0)
     space, where, has_ended = env.observation_space, "reset", False
-    is_told, names = not env.success_keys, dict[Any, None]()
+    is_told, names, number = not env.success_keys, dict[Any, None](), 0
     for number in range(limit + 1):
         reward, told = 0.0, {}
         try:

@@ -175,6 +175,15 @@ class TestCurves:
         assert not limit(axes, panel, [])
         assert axes.get_ylim()[1] >= 1.0
 
+    def test_a_last_jump_is_not_an_extreme(self, folder):
+        values = np.concatenate([np.full(60, -1200.0), np.full(39, -900.0), [-300.0]])
+        panel = Panel(
+            "return", "mean return", [Curve(load(folder).points[0], np.arange(1.0, 101.0), values[None])]
+        )
+        axes = Chart([panel], "episode").axes[0]
+        assert not limit(axes, panel, [])
+        assert axes.get_ylim()[1] >= -300.0
+
     def test_steps_to_the_goal_are_those_of_successful_episodes(self, folder):
         above, below = drawn("steps-to-goal", load(folder)).figure.axes
         steps, shares = heights(above), heights(below)

@@ -80,14 +80,19 @@ def rolling_mean(values: Floats, width: int) -> Floats:
 
 
 def limit(axes: Axes, panel: Panel, lines: Sequence[float]) -> bool:
-    """Set the limits of the vertical axis by the bulk of the means; whether a mean lies beyond them."""
+    """Set the limits of the vertical axis by the bulk of the means; whether a mean lies beyond them.
+
+    `lines` and the ends of the curves, where their names stand, are always within them.
+    """
     means = np.concatenate([mean for mean, _, _ in panel.bands])
     bounds = np.concatenate([bound for band in panel.bands for bound in band])
     means, bounds = means[np.isfinite(means)], bounds[np.isfinite(bounds)]
     if not means.size:
         return False
     ranked, tail = np.sort(means), int(_TAIL * means.size)
-    low, high = min([ranked[tail], *lines]), max([ranked[-1 - tail], *lines])
+    curves = [mean[np.isfinite(mean)] for mean, _, _ in panel.bands]
+    shown = [*lines, *(float(curve[-1]) for curve in curves if curve.size)]
+    low, high = min([ranked[tail], *shown]), max([ranked[-1 - tail], *shown])
     least, most = bounds.min(), bounds.max()
     # Everything is shown, unless the extremes would take more than three fifths of the axis.
     if most - least > 2.5 * (high - low) > 0:
