@@ -1,7 +1,7 @@
 """Acquisition functions for maximisation (Section 2.7.1): the value of evaluating a point."""
 
 import abc
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,16 +24,19 @@ class Acquisition(eqx.Module):
 
 
 class UpperConfidenceBound(Acquisition):
-    """Mean plus `kappa` standard deviations (2.37).
+    """Mean plus `kappa` times the uncertainty (2.37).
+
+    (2.37) has the standard deviation, the default; the text of (4.3) calls sigma the variance.
 
     Settings: `bojax.acquisition.settings.UpperConfidenceBound`.
     """
 
     kappa: Float[Array, ""] = eqx.field(converter=as_numbers("kappa"))
+    uncertainty: Literal["std", "variance"] = eqx.field(static=True, default="std")
 
     @override
     def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
-        return mean + self.kappa * std
+        return mean + self.kappa * (std if self.uncertainty == "std" else jnp.square(std))
 
 
 class ProbabilityOfImprovement(Acquisition):

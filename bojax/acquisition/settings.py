@@ -23,11 +23,14 @@ _Improvement = Annotated[
 
 
 class UpperConfidenceBound(AcquisitionSettings, frozen=True):
-    """Mean plus kappa standard deviations (thesis, equation 2.37)."""
+    """Mean plus kappa times the uncertainty (thesis, equations 2.37 and 4.3)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
     kind: Literal["ucb"] = "ucb"
-    kappa: float = Field(default=10.0, ge=0, le=GREATEST, description="weight of the standard deviation")
+    kappa: float = Field(default=10.0, ge=0, le=GREATEST, description="weight of the uncertainty")
+    uncertainty: Literal["std", "variance"] = Field(
+        default="std", description="measure of uncertainty: standard deviation or variance"
+    )
 
 
 class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):

@@ -96,6 +96,12 @@ def test_upper_confidence_bound_is_a_quantile():
     np.testing.assert_allclose(found, stats.norm.ppf(stats.norm.cdf(kappa), mean, std), rtol=1e-12)
 
 
+def test_upper_confidence_bound_may_count_the_variance():
+    mean, std = jnp.asarray([0.0, 1.0, 1.0]), jnp.asarray([0.5, 2.0, 0.0])
+    acquisition = UpperConfidenceBound(jnp.asarray(3.0), "variance")
+    np.testing.assert_allclose(score(acquisition, mean, std, jnp.asarray(9.0)), [0.75, 13.0, 1.0])
+
+
 ACQUISITIONS = [
     UpperConfidenceBound(jnp.asarray(2.0)),
     ProbabilityOfImprovement(jnp.asarray(0.01)),

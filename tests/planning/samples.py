@@ -30,6 +30,7 @@ from tests.reference import parking as reference
 
 ACQUISITIONS = {
     "ucb": UpperConfidenceBound(f64(3.0)),
+    "ucb, variance": UpperConfidenceBound(f64(3.0), "variance"),
     "log-ei": LogExpectedImprovement(f64(0.01)),
     "pi": ProbabilityOfImprovement(f64(0.01)),
 }

@@ -47,8 +47,8 @@ VARIANTS = {
         kcbts("log-ei", discount=0.9),
         monitoring("gradient", Matern52(f64(0.7)), walls=None),
     ),
-    "kcbts, uncertainty, the mean imagined": (
-        kcbts(depth=2, objective=OBJECTIVES["uncertainty"]),
+    "kcbts, uncertainty, variance at the nodes, the mean imagined": (
+        kcbts("ucb, variance", depth=2, objective=OBJECTIVES["uncertainty"]),
         monitoring(imagined="mean", kernel=Product(Matern32(f64(0.8)), RBF(f64(1.2)))),
     ),
     "gps-abt": (gps_abt(), monitoring(noise_variance=1e-4)),

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.special import erfcx, log_ndtr
 
 
-def upper_confidence_bound(mean, std, best, kappa):
-    """(2.37)"""
-    return mean + kappa * std
+def upper_confidence_bound(mean, std, best, kappa, uncertainty="std"):
+    """(2.37), or (4.3) with its sigma read as the variance."""
+    return mean + kappa * (std if uncertainty == "std" else std**2)
 
 
 def probability_of_improvement(mean, std, best, xi):

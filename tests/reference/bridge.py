@@ -172,7 +172,8 @@ def reference_objective(objective) -> monitoring.Objective:
 def reference_acquisition(function):
     match function:
         case functions.UpperConfidenceBound():
-            return partial(acquisition.upper_confidence_bound, kappa=float(function.kappa))
+            settings = {"kappa": float(function.kappa), "uncertainty": function.uncertainty}
+            return partial(acquisition.upper_confidence_bound, **settings)
         case functions.ProbabilityOfImprovement():
             return partial(acquisition.probability_of_improvement, xi=float(function.xi))
         case functions.LogExpectedImprovement():
