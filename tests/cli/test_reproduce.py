@@ -55,7 +55,7 @@ def test_ids(capsys):
         (["fig-5.2"], ["fig-5.2a", "fig-5.2b", "fig-5.2c", "fig-5.2d"]),
         (["table-5.1", "fig-5.3-taxi", "table-5.1"], ["table-5.1", "fig-5.3-taxi"]),
         (["study-jaco"], ["study-jaco"]),
-        (["pomdp"], ["pomdp-lander", "pomdp-light-dark", "pomdp-vdp-tag"]),
+        (["pomdp"], ["pomdp-lander", "pomdp-light-dark", "pomdp-sub-hunt", "pomdp-vdp-tag"]),
     ):
         assert selected(ids) == names
     for name in ("fig-4.66", "fig-", "chapter6", "", "parkin"):

@@ -24,7 +24,6 @@ from bojax.planning.belief_planner import PolicyPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.problems import particles
 from bojax.problems.actions import Box
-from bojax.problems.pomdp.sub_hunt_values import solve
 from bojax.problems.state_space import StateProblem
 from tests.motions.families import kernel
 from tests.planning.samples import parking
@@ -261,8 +260,6 @@ def test_policies_without_search_earn_what_is_published(name):
     kind, policy, (mean, error) = PUBLISHED[name]
     settings = {"belief_update": "published"} if kind == "light-dark" else {}
     problem = build(kinds("problem")[kind](**settings), "float32")
-    if kind == "sub-hunt":
-        problem = dataclasses.replace(problem, action_values=eqx.filter_jit(solve)(problem))
     run = PlanningEpisode(problem, PolicyPlanner(policy))
     found = [summaries(run, jax.random.split(jax.random.key(seed), 50)) for seed in range(20)]
     earned, collapsed = (

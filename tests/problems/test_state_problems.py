@@ -1,6 +1,5 @@
 """State problems against their definitions in plain NumPy, and against what is known of them exactly."""
 
-import dataclasses
 from collections import Counter
 
 import equinox as eqx
@@ -13,7 +12,7 @@ from scipy import stats
 from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.problems import kalman
-from bojax.problems.pomdp.sub_hunt_values import solve
+from bojax.problems.pomdp import sub_hunt_values
 from tests.reference import state_problems as reference
 
 SMALLEST_P = 1e-4
@@ -204,14 +203,28 @@ def test_sub_hunt_starts_at_the_edges():
 
 def test_values_of_sub_hunt_are_those_of_value_iteration():
     each, define = problem("sub-hunt", size=5), reference.SubHunt(5)
-    solved = dataclasses.replace(each, action_values=eqx.filter_jit(solve)(each))
     expected = define.values()
     states = np.array(list(expected), float)
     alive = [not define.is_over(state) for state in expected]
-    found = np.asarray(jax.vmap(solved.values_at)(jnp.asarray(states)))
+    found = np.asarray(jax.vmap(each.values_at)(jnp.asarray(states)))
     np.testing.assert_allclose(found[alive], np.array(list(expected.values()))[alive], atol=1e-9)
-    assert each.heuristic_value(jnp.asarray(states[0])) is None
-    assert solved.heuristic_value(jnp.asarray(states[alive][0])) == found[alive][0].max()
+    assert np.all(found[np.logical_not(alive)] == 0.0)
+    assert each.heuristic_value(jnp.asarray(states[alive][0])) == found[alive][0].max()
+
+
+def test_values_of_sub_hunt_are_solved_once(monkeypatch):
+    solved = []
+
+    def solve(rules):
+        solved.append(rules)
+        return np.full((4, 4, 4, 2, 6), len(solved))
+
+    monkeypatch.setattr(sub_hunt_values, "_last", {})
+    monkeypatch.setattr(sub_hunt_values, "_solve", solve)
+    settings = [{}, {"num_particles": 10, "ping_noise": 0.1}, {"kill_probability": 0.5}, {}]
+    found = [problem("sub-hunt", size=2, **each).action_values for each in settings]
+    # Other settings change the values; the last ones alone are kept.
+    assert [np.unique(each).item() for each in found] == [1, 1, 2, 3]
 
 
 @pytest.mark.parametrize("action", [0, 1, 2])

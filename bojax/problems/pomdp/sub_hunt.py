@@ -3,18 +3,28 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Discrete
 from bojax.problems.pomdp.beams import Beams, beam_towards
+from bojax.problems.pomdp.sub_hunt_values import Rules, solve
 from bojax.problems.state_space import StateProblem
 from bojax.results.outline import Outline
 
 PING, ENGAGE = 4, 5
 
-_DIRECTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+_HEADINGS = np.asarray([(0, 1), (1, 0), (0, -1), (-1, 0)], np.int32)
 """North, east, south and west."""
+
+_OWN_MOVES = np.concatenate([_HEADINGS, np.zeros((2, 2), np.int32)])
+"""Directions of the own move of each action."""
+
+_TARGET_MOVES = np.stack(
+    [2 * _HEADINGS, _HEADINGS + np.roll(_HEADINGS, 1, axis=0), _HEADINGS + np.roll(_HEADINGS, -1, axis=0)], 1
+)
+"""Moves of the target, by its direction: two cells ahead, or one ahead and one to the left or the right."""
 
 
 class SubHunt(StateProblem):
@@ -27,8 +37,7 @@ class SubHunt(StateProblem):
     Settings: `bojax.problems.pomdp.settings.SubHunt`.
 
     Attributes:
-        action_values: Optimal value of each action with states observed, see `sub_hunt_values`; None if
-            there is no heuristic.
+        action_values: Optimal value of each action at each state, with states observed; None to compute it.
     """
 
     straight_probability: Float[Array, ""]
@@ -45,6 +54,12 @@ class SubHunt(StateProblem):
     num_beams: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
     action_values: Float[Array, "X Y X Y 4 2 6"] | None = None
+
+    def __post_init__(self) -> None:
+        """Solve the problem with states observed."""
+        if self.action_values is None:
+            found = solve(self._rules()).reshape(*(self.size,) * 4, 4, 2, 6)
+            self.action_values = jnp.asarray(found, self.discount.dtype)
 
     @override
     def sketch(self, state: Float[Array, "6"]) -> dict[str, Float[Array, "2"]]:
@@ -105,39 +120,26 @@ class SubHunt(StateProblem):
         return self._beams(action, next_state).log_density(observation)
 
     @override
-    def heuristic_value(self, state: Float[Array, "6"]) -> Float[Array, ""] | None:
-        return None if self.action_values is None else jnp.max(self.values_at(state))
+    def heuristic_value(self, state: Float[Array, "6"]) -> Float[Array, ""]:
+        return jnp.max(self.values_at(state))
 
     def values_at(self, state: Float[Array, "6"]) -> Float[Array, "6"]:
-        """Optimal value of each action with states observed.
-
-        Raises:
-            ValueError: if these values were not solved.
-        """
-        if self.action_values is None:
-            raise ValueError(
-                "problem: sub-hunt has no values of its states; solve them in Python with "
-                "bojax.problems.pomdp.sub_hunt_values.solve"
-            )
-        return self.action_values[table_index(state.astype(jnp.int32))]
+        """Optimal value of each action with states observed."""
+        assert self.action_values is not None
+        index = state.astype(jnp.int32)
+        return self.action_values[(*(index[i] - 1 for i in range(4)), index[4], index[5])]
 
     def outcomes(
         self, state: Int[Array, "6"], action: Int[Array, ""]
     ) -> tuple[Int[Array, "2"], Int[Array, "T 2"], Int[Array, ""], Float[Array, ""]]:
-        """The own next position, the target's possible ones, its awareness, and the probability of a kill.
-
-        The target moves two cells ahead, or one ahead and one to the left or to the right.
-        """
-        moved = state[:2] + self.speed * self._heading(jnp.minimum(action, 3))
-        own = jnp.where(action < PING, self._clamp(moved), state[:2])
-        heading = self._heading(state[4])
-        left, right = (self._heading((state[4] + turn) % 4) for turn in (3, 1))
-        targets = jnp.stack([2 * heading, heading + left, heading + right]) + state[None, 2:4]
+        """The own next position, the target's possible ones, its awareness, and the probability of a kill."""
+        own = self._clamp(state[:2] + self.speed * jnp.asarray(_OWN_MOVES)[action])
+        targets = self._clamp(state[None, 2:4] + jnp.asarray(_TARGET_MOVES)[state[4]])
         aware = jnp.where(action == PING, 1, state[5])
         offset = (state[2:4] - state[:2]).astype(self.discount.dtype)
         in_reach = (action == ENGAGE) & (_length(offset) <= self.kill_radius)
         kill = jnp.where(state[5] == 1, self.kill_probability, 1.0)
-        return own, self._clamp(targets), aware, jnp.where(in_reach, kill, 0.0)
+        return own, targets, aware, jnp.where(in_reach, kill, 0.0)
 
     def probabilities(self) -> Float[Array, "T"]:
         """Probabilities of the target's moves."""
@@ -150,8 +152,28 @@ class SubHunt(StateProblem):
         edge = jnp.where(jnp.sum(heading) > 0, self.size, 1)
         return jnp.any((heading != 0) & (state[2:4] == edge))
 
+    def _rules(self) -> Rules:
+        """The problem as tables over the cells, in the order of x and then y."""
+        cells = np.indices((self.size, self.size), np.int32).reshape(2, -1).T + 1
+
+        def numbers(positions: Int[np.ndarray, "*N 2"]) -> Int[np.ndarray, "*N"]:
+            return (np.clip(positions, 1, self.size) - 1) @ np.asarray([self.size, 1])
+
+        nearest_first = np.argsort(-(cells @ _HEADINGS.T), axis=0, kind="stable")
+        offsets = (cells[None] - cells[:, None]).astype(self.discount.dtype)
+        is_near = np.sqrt((offsets**2).sum(axis=2)) <= np.asarray(self.kill_radius)
+        return Rules(
+            own=numbers(cells[:, None] + self.speed * _OWN_MOVES),
+            targets=numbers(cells[:, None, None] + _TARGET_MOVES),
+            probabilities=np.asarray(self.probabilities(), np.float64),
+            lines=nearest_first.T.reshape(4, self.size, self.size),
+            kill=np.where(is_near[:, :, None], [1.0, float(self.kill_probability)], 0.0),
+            kill_reward=float(self.kill_reward),
+            discount=float(self.discount),
+        )
+
     def _heading(self, direction: Int[Array, ""]) -> Int[Array, "2"]:
-        return jnp.asarray(_DIRECTIONS, jnp.int32)[direction]
+        return jnp.asarray(_HEADINGS)[direction]
 
     def _clamp(self, position: Int[Array, "*N 2"]) -> Int[Array, "*N 2"]:
         return jnp.clip(position, 1, self.size)
@@ -166,11 +188,6 @@ class SubHunt(StateProblem):
         mean = jnp.where(pings | detected, distance, other_mean)
         index = beam_towards(offset, self.num_beams)
         return Beams(index, mean, noise, other_mean, other_noise, self.num_beams)
-
-
-def table_index(state: Int[Array, "6"]) -> tuple[Int[Array, ""], ...]:
-    """Where a state is in a table of all states."""
-    return (*(state[i] - 1 for i in range(4)), state[4], state[5])
 
 
 def _length(vector: Float[Array, "2"]) -> Float[Array, ""]:

@@ -1,42 +1,81 @@
-"""The values of Sub Hunt with states observed, by value iteration over all its states."""
+"""The values of Sub Hunt with states observed, by backward induction over the target's way to its edge."""
 
-import math
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
-
-from bojax.problems.pomdp.sub_hunt import SubHunt, table_index
+import numpy as np
+from jaxtyping import Float, Int
 
 
-def solve(problem: SubHunt) -> Float[Array, "X Y X Y 4 2 6"]:
-    """Optimal value of each action with states observed, by value iteration.
+class Rules(NamedTuple):
+    """Sub Hunt as tables over `P` positions, which are numbered from 0.
 
-    The target advances at every step, so that `size` sweeps are exact.
+    The last two of `A` actions are to ping, which makes the target aware, and to engage.
+
+    Attributes:
+        own: Own position after each action.
+        targets: Positions that the target may move to, for each of its directions.
+        probabilities: Their probabilities.
+        lines: For each direction, the positions at 0, 1, ... cells from the edge that ends the target's way.
+        kill: Probability that engaging kills a target that is not aware, and one that is.
+        kill_reward: Reward of a kill.
+        discount: Discount of the reward per step.
     """
-    shape = (*(problem.size,) * 4, 4, 2)
-    first = jnp.asarray([1, 1, 1, 1, 0, 0], jnp.int32)
-    index = jnp.arange(math.prod(shape), dtype=jnp.int32)
-    states = jnp.stack(jnp.unravel_index(index, shape), axis=1) + first[None]
-    dtype = problem.discount.dtype
 
-    def action_value(
-        values: Float[Array, "X Y X Y 4 2"], state: Int[Array, "6"], action: Int[Array, ""]
-    ) -> Float[Array, ""]:
-        own, targets, aware, kill = problem.outcomes(state, action)
+    own: Int[np.ndarray, "P A"]
+    targets: Int[np.ndarray, "P 4 T"]
+    probabilities: Float[np.ndarray, "T"]
+    lines: Int[np.ndarray, "4 K L"]
+    kill: Float[np.ndarray, "P P 2"]
+    kill_reward: float
+    discount: float
 
-        def value(target: Int[Array, "2"]) -> Float[Array, ""]:
-            after = jnp.concatenate([own, target, state[4:5], aware[None]])
-            return jnp.where(problem.has_escaped(after), 0.0, values[table_index(after)])
 
-        expected = jnp.sum(problem.probabilities() * jax.vmap(value)(targets))
-        return kill * problem.kill_reward + (1.0 - kill) * problem.discount * expected
+_last: dict[tuple[bytes, ...], Float[np.ndarray, "P P 4 2 A"]] = {}
 
-    def all_values(values: Float[Array, "X Y X Y 4 2"]) -> Float[Array, "X Y X Y 4 2 6"]:
-        each = jax.vmap(jax.vmap(action_value, (None, None, 0)), (None, 0, None))
-        return each(values, states, jnp.arange(6, dtype=jnp.int32)).reshape(*shape, 6)
 
-    def sweep(_: Int[Array, ""], found: Float[Array, "X Y X Y 4 2 6"]) -> Float[Array, "X Y X Y 4 2 6"]:
-        return all_values(jnp.max(found, axis=-1))
+def solve(rules: Rules) -> Float[np.ndarray, "P P 4 2 A"]:
+    """Optimal value of each action, by own position, the target's, its direction and whether it is aware.
 
-    return jax.lax.fori_loop(0, problem.size, sweep, jnp.zeros((*shape, 6), dtype))
+    The array is kept for the next call with equal rules, such as that of another point of a sweep, and is
+    read-only.
+    """
+    content = tuple(np.asarray(table).tobytes() for table in rules)
+    found = _last.get(content)
+    if found is None:
+        found = _solve(rules)
+        found.setflags(write=False)
+        _last.clear()
+        _last[content] = found
+    return found
+
+
+def _solve(rules: Rules) -> Float[np.ndarray, "P P 4 2 A"]:
+    """Every move brings the target nearer to its edge, where values are 0, so that one pass is exact.
+
+    Elementwise arithmetic of NumPy gives the same bytes on every machine; programs of XLA need not.
+    """
+    num, num_actions = rules.own.shape
+    found = np.zeros((num, num, 4, 2, num_actions))
+    for direction, lines in enumerate(rules.lines):
+        values = np.zeros((num, num, 2))
+        for line in lines[1:]:
+            expected = np.zeros((num, len(line), 2))
+            for targets, probability in zip(
+                rules.targets[line, direction].T, rules.probabilities, strict=True
+            ):
+                expected += probability * values[:, targets]
+            of_actions = _action_values(rules, rules.discount * expected, line)
+            found[:, line, direction] = of_actions
+            values[:, line] = of_actions.max(axis=-1)
+    return found
+
+
+def _action_values(
+    rules: Rules, future: Float[np.ndarray, "P L 2"], line: Int[np.ndarray, "L"]
+) -> Float[np.ndarray, "P L 2 A"]:
+    """Value of each action, from the discounted value of what follows if the own position stays."""
+    value = np.stack([future[own] for own in rules.own.T], axis=-1)
+    value[:, :, 0, -2] = value[:, :, 1, -2]
+    kill = rules.kill[:, line]
+    value[..., -1] = kill * rules.kill_reward + (1.0 - kill) * value[..., -1]
+    return value
