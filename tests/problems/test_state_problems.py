@@ -217,7 +217,7 @@ def test_values_of_sub_hunt_are_solved_once(monkeypatch):
 
     def solve(rules):
         solved.append(rules)
-        return np.full((4, 4, 4, 2, 6), len(solved))
+        return np.full((4, 4, 4, 2, 6), float(len(solved)))
 
     monkeypatch.setattr(sub_hunt_values, "_last", {})
     monkeypatch.setattr(sub_hunt_values, "_solve", solve)
