@@ -14,7 +14,7 @@ from typing_extensions import override
 
 from bojax.config.catalog import kinds
 from bojax.config.errors import ConfigError
-from bojax.config.sweep import load_config
+from bojax.config.sweep import load_config, load_sweep
 from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
 from bojax.numerics.lanes import LANES
@@ -24,6 +24,7 @@ from bojax.planning.belief_planner import PolicyPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.problems import particles
 from bojax.problems.actions import Box
+from bojax.problems.pomdp.sub_hunt import ENGAGE
 from bojax.problems.state_space import StateProblem
 from tests.motions.families import kernel
 from tests.planning.samples import parking
@@ -50,7 +51,7 @@ def advanced(episode, lanes: int, length: int = 6):
     return carry, jax.tree.map(lambda *each: np.concatenate(each, axis=1), *rows)
 
 
-@pytest.mark.parametrize("name", by_tier(["vdp-tag", "light-dark"], normal=["light-dark"]))
+@pytest.mark.parametrize("name", by_tier(["vdp-tag", "light-dark", "sub-hunt"], normal=["light-dark"]))
 def test_returns_are_those_of_the_steps_and_lanes_differ(name):
     episode = experiment(name)
     carry, rows = advanced(episode, 5)
@@ -69,6 +70,26 @@ def test_returns_are_those_of_the_steps_and_lanes_differ(name):
     states = np.stack([value for key, value in rows.items() if key.startswith("state_")])
     assert len({states[:, lane].tobytes() for lane in range(5)}) == 5
     assert np.isfinite(states).all() and np.isfinite(rows["planned_value"]).all()
+
+
+HUNTERS = {
+    "qmdp": (load_config, "sub-hunt", ["planner=policy"]),
+    "pft-dpw": (load_config, "sub-hunt", ["planner.iterations=50"]),
+    "pomcpow": (load_sweep, "pomdp-sub-hunt", []),
+}
+
+
+@pytest.mark.parametrize("name", by_tier(HUNTERS, normal=["pft-dpw"]))
+def test_a_target_in_reach_that_is_not_aware_is_engaged(name):
+    load, source, changes = HUNTERS[name]
+    config = load(source, ["problem.num_particles=64", "problem.size=5", *changes]).points[0].config
+    hunt = build(config, "float32")
+    belief = particles.initial(hunt.problem, jax.random.key(0), 64)
+    # One cell north of the own position, on its way north.
+    state = jnp.asarray([3.0, 2.0, 3.0, 3.0, 0.0, 0.0], jnp.float32)
+    known = dataclasses.replace(belief, states=jnp.tile(state, (64, 1)))
+    plan = eqx.filter_jit(hunt.planner.plan)(jax.random.key(1), hunt.problem, known)
+    assert plan.action.item() == ENGAGE
 
 
 def test_a_finished_lane_keeps_its_state():
