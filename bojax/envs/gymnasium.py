@@ -1,8 +1,9 @@
 """Gymnasium environments, stepped on the host, for bojax; and environments of bojax for Gymnasium."""
 
+import functools
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -165,8 +166,10 @@ class HostEnv(Env):
             )
         self.max_steps = limit
         has_own_bounds = low is None and high is None
-        _try(self._idling(made), id, limit, dtype, has_own_bounds)
+        keys = _try(self._idling(made), id, limit, dtype, has_own_bounds)
         made.close()
+        if success == "never" and (told := [key for key in _SUCCESS_KEYS if key in keys]):
+            _note(f"note: success: got never, but the info of {id} has {told[0]}, which success: info counts")
 
     @property
     @override
@@ -325,7 +328,13 @@ def _counted(result: Any) -> str:
     return f"{len(result)} values" if isinstance(result, tuple) else f"one {type(result).__name__}"
 
 
-def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> None:
+@functools.cache
+def _note(text: str) -> None:
+    """Print a line on standard error, once in a process."""
+    print(text, file=sys.stderr)
+
+
+def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> Collection[str]:
     """Check the observations and the rewards of a few steps under random actions, and that success is told.
 
     Args:
@@ -334,6 +343,9 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
         limit: Number of steps of an episode.
         dtype: Precision of the rewards.
         has_own_bounds: Whether all bounds of observations are those that the environment declares.
+
+    Returns:
+        The keys of `info` in these steps.
     """
     env.action_space.seed(0)
     space, where, has_ended = env.observation_space, "reset", False
@@ -378,6 +390,7 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
             f"success: got info; {id} has no {wanted} in the info of an episode of {number} steps, "
             f"but {one_line(found)}; set success_key, or let each step tell it, also as False"
         )
+    return names.keys()
 
 
 @eqx.filter_jit

@@ -1,5 +1,6 @@
 """Our environments in Gymnasium's hands, and Gymnasium's in ours."""
 
+import re
 import sys
 
 import gymnasium
@@ -221,6 +222,15 @@ def test_success_is_told_by_another_key_and_at_the_end_of_an_episode(registered)
     vector.reset(seed=[0])
     told = ["success" in vector.step(np.array([0]))[4] for _ in range(16)]
     assert told == [False] * 14 + [True, False]
+
+
+def test_success_that_info_tells_and_nothing_counts_is_noted(registered, capsys):
+    registered(lambda: Telling(lambda n, ends: {"is_success": False}))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"note: success: got never, but the info of Odd\d+-v0 has is_success, .*", line)
+    registered(lambda: Telling(lambda n, ends: {"score": 1}))
+    registered(lambda: Telling(lambda n, ends: {"is_success": False}), success="terminated")
+    assert capsys.readouterr().err == ""
 
 
 def test_info_that_does_not_tell_success_is_refused(registered):
