@@ -231,7 +231,10 @@ class Program:
 
 
 _ON_CPU = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": True}
-"""Options of XLA's compiler for a CPU: a sixth less to compile, and programs that are not slower."""
+"""Options of XLA's compiler for a CPU: a sixth less to compile, and most programs are not slower.
+
+Searches that propose actions by a Gaussian process are: level 3 makes them 2.3 times as fast.
+"""
 
 
 def _cpu_options() -> dict[str, Any]:
