@@ -34,9 +34,9 @@ def for_another_machine() -> Iterator[None]:
         _is_elsewhere.reset(token)
 
 
-def kernels_are_refused() -> bool:
-    """Whether kernels of modules that are built now would have to run here, and cannot."""
-    return not (_is_elsewhere.get() or kernels_run_here())
+def are_for_another_machine() -> bool:
+    """Whether modules are built in this context now."""
+    return _is_elsewhere.get()
 
 
 def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T], *args: jax.Array) -> T:

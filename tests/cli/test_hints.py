@@ -73,7 +73,7 @@ run parking planner.iterations=1.5
 run parking planner.iterations=1_000
 => got "1_000"; allowed: an integer (write 1000)
 run mountain-car 'env={kind: gymnasium, id: A-v0}' env.speed=3
-=> max_steps, success, success_reward; did you mean "env.kwargs.speed"?
+=> max_steps, success, success_key, success_reward; did you mean "env.kwargs.speed"?
 run mountain-car 'env={kind: gymnasium, id: A-v0}' env.max_step=3
 => did you mean "max_steps"?
 """
