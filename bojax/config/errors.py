@@ -1,8 +1,10 @@
 """Configuration errors as one line each: the place, the value found there, the values allowed."""
 
 import difflib
+import functools
 import json
 import re
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -67,6 +69,12 @@ def printable(message: object) -> str:
     """A message for the terminal: one line, escaped, with the middle of a very long message left out."""
     text, half = escaped(str(message)), MAX_MESSAGE // 2 - 3
     return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"
+
+
+@functools.cache
+def note_once(text: str) -> None:
+    """Print a line on standard error, once in a process."""
+    print(printable(text), file=sys.stderr)
 
 
 def did_you_mean(name: Any, names: Iterable[str]) -> str:

@@ -4,7 +4,6 @@
 """
 
 import atexit
-import functools
 import os
 import sys
 import threading
@@ -16,7 +15,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 
-from bojax.config.errors import printable
+from bojax.config.errors import note_once
 from bojax.config.settings import Platform
 from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
@@ -64,7 +63,7 @@ def prepare(device: Platform) -> None:
     if setting("jax_compilation_cache_dir") is None:
         folder = cache_folder()
         if reason := why_not_private(folder):
-            _note(f"note: programs are not cached in {folder}: {reason}")
+            note_once(f"note: programs are not cached in {folder}: {reason}")
         else:
             _drop_irregular(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
@@ -83,12 +82,6 @@ def _drop_irregular(folder: Path) -> None:
 
 _LEAST_SECONDS = 1.0
 """JAX's default time of a compilation that it caches; a sweep has many smaller programs."""
-
-
-@functools.cache
-def _note(text: str) -> None:
-    """Print a line on standard error, once in a process."""
-    print(printable(text), file=sys.stderr)
 
 
 def _check_flags() -> None:

@@ -1,6 +1,5 @@
 """Gymnasium environments, stepped on the host, for bojax; and environments of bojax for Gymnasium."""
 
-import functools
 import json
 import sys
 from collections.abc import Collection, Mapping
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
+from bojax.config.errors import note_once
 from bojax.config.extras import MissingExtra
 from bojax.envs.adapter import Adapter
 from bojax.envs.base import Env
@@ -169,7 +169,9 @@ class HostEnv(Env):
         keys = _try(self._idling(made), id, limit, dtype, has_own_bounds)
         made.close()
         if success == "never" and (told := [key for key in _SUCCESS_KEYS if key in keys]):
-            _note(f"note: success: got never, but the info of {id} has {told[0]}, which success: info counts")
+            note_once(
+                f"note: success: got never, but the info of {id} has {told[0]}, which success: info counts"
+            )
 
     @property
     @override
@@ -326,12 +328,6 @@ class Idling(gymnasium.Wrapper):
 def _counted(result: Any) -> str:
     """What a method returned, for messages: the number of values, or the type of a single one."""
     return f"{len(result)} values" if isinstance(result, tuple) else f"one {type(result).__name__}"
-
-
-@functools.cache
-def _note(text: str) -> None:
-    """Print a line on standard error, once in a process."""
-    print(text, file=sys.stderr)
 
 
 def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> Collection[str]:

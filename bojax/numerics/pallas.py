@@ -34,8 +34,8 @@ def for_another_machine() -> Iterator[None]:
         _is_elsewhere.reset(token)
 
 
-def are_for_another_machine() -> bool:
-    """Whether modules are built in this context now."""
+def builds_for_another_machine() -> bool:
+    """Whether modules are built for another machine now, see `for_another_machine`."""
     return _is_elsewhere.get()
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bojax.numerics.lanes import batched_together
-from bojax.numerics.pallas import are_for_another_machine, kernels_run_here
+from bojax.numerics.pallas import builds_for_another_machine, kernels_run_here
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.kernel.small_factors import small_factors
@@ -101,7 +101,7 @@ class Simulator(eqx.Module):
             ValueError: MuJoCo or MJX refuse the model, it cannot be simulated by a kernel of Pallas, or the
                 settings ask for one on a CPU.
         """
-        if self.impl == "pallas" and not (kernels_run_here() or are_for_another_machine()):
+        if self.impl == "pallas" and not (kernels_run_here() or builds_for_another_machine()):
             needed = "needs an NVIDIA GPU of compute capability 8.0 or more"
             raise ValueError(f'physics.impl: got "pallas", which {needed}; allowed here: "jax", "c"')
         _ = self._advance

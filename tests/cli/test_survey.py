@@ -226,7 +226,7 @@ def test_an_earlier_survey_elsewhere_is_named(tmp_path, monkeypatch, capsys, at,
     (tmp_path / "old.csv").write_text("x,y,z\n" + "\n".join(f"{at + i},{i % 7},{i % 5}" for i in range(30)))
     words = ["100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower", "--out", "out"]
     assert main(["survey", *words]) == 0
-    note = "note: old.csv: no value lies in the area; the model is learned from them."
+    note = "note: old.csv: no value lies in the area: the model is learned from a field elsewhere."
     assert (note in capsys.readouterr().out) == is_noted
 
 
