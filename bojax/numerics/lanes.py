@@ -19,13 +19,13 @@ Its size is 1 while the engine traces an experiment: use `lax.pmax`, `pmin` or `
 """
 
 EPISODES = "episodes"  # name of the axis over which a run batches episodes that do not depend on each other
+TREES = "trees"  # name of the axis over which a plan batches independent searches
 
 
 def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
     """Whether `flag` holds in any lane of this device; `flag` itself outside the engine.
 
-    Where a run batches episodes, whether it holds in any episode of any lane.
-
+    Where a run batches episodes, or a plan trees, whether it holds in any of any lane.
     """
     # A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
     # would add a select of the whole carry to every iteration.
@@ -39,7 +39,7 @@ def largest_in_lanes(number: Int[Array, ""]) -> Int[Array, ""]:
 
 
 def _largest(x: Array) -> Array:
-    for axis in (EPISODES, LANES):
+    for axis in (TREES, EPISODES, LANES):
         with contextlib.suppress(NameError):  # there is no such axis
             x = jax.lax.pmax(x, axis)
     return x

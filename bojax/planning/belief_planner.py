@@ -11,11 +11,13 @@ from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
 from bojax.models.checks import is_known
+from bojax.numerics.lanes import TREES
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
 from bojax.planning.belief_tree import BeliefTree
 from bojax.planning.leaf_values import LeafValue, Policy, StateValue
 from bojax.planning.oracles import policy_named
+from bojax.planning.root_parallel import recommended_by_all
 from bojax.problems import particles
 from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
@@ -102,10 +104,14 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
         leaf_value: Estimate of the value of a new belief.
         first_action: Policy that gives the first action of the root; None to propose it as the others. Not
             used if the space is discrete.
+        trees: Number of independent trees of a plan, each of `iterations` simulations.
+        merge_lengthscale: Distance at which actions of different trees are alike, see `recommended_by_all`.
     """
 
     leaf_value: eqx.AbstractVar[LeafValue]
     first_action: eqx.AbstractVar[Policy | None]
+    trees: eqx.AbstractVar[int]
+    merge_lengthscale: eqx.AbstractVar[Float[Array, ""]]
 
     @override
     def check(self, problem: Problem) -> None:
@@ -119,8 +125,15 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
 
     @override
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
-        best = self.recommended(self.search(key, problem, belief))
-        return Plan(problem.actions.decode(best.parameters), None, best.value, best.visits)
+        if self.trees == 1:
+            best = self.search(key, problem, belief).root_actions().recommended(self.by_value)
+        else:
+            # The loops of all trees end together, as those of all lanes do.
+            search = jax.vmap(lambda key: self.search(key, problem, belief).root_actions(), axis_name=TREES)
+            roots = search(jax.random.split(key, self.trees))
+            best = recommended_by_all(problem.actions, roots, self.merge_lengthscale, self.by_value)
+        action = problem.actions.decode(best.parameters)
+        return Plan(action, None, best.value, best.visits.astype(jnp.int32))
 
     @override
     def states(self, key: Key[Array, ""], belief: Particles) -> Float[Array, "N D"]:

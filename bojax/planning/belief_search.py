@@ -46,15 +46,6 @@ class Expansion(eqx.Module):
     leaf: Leaf
 
 
-class Recommendation(NamedTuple):
-    """The action of the root that a search recommends, by its place there and its parameters."""
-
-    slot: Int[Array, ""]
-    parameters: Num[Array, "P"]
-    value: Float[Array, ""]
-    visits: Int[Array, ""]
-
-
 class BeliefTreeSearch(eqx.Module):
     """The search of a tree of beliefs; a final class defines beliefs and how they are simulated.
 
@@ -140,12 +131,10 @@ class BeliefTreeSearch(eqx.Module):
     ) -> Float[Array, ""]:
         """The value of a belief from which `remaining` actions are left; 0 of them at the horizon."""
 
-    def recommended(self, tree: BeliefTree) -> Recommendation:
-        """The action to execute."""
-        values, visits = tree.mean_returns(jnp.asarray(ROOT, jnp.int32)), tree.totals[ROOT, :, 0]
-        slot = jnp.argmax(jnp.where(self.recommendation.is_("value"), values, visits))
-        parameters = tree.parameters[tree.children[ROOT, slot]]
-        return Recommendation(slot, parameters, values[slot], visits[slot].astype(jnp.int32))
+    @property
+    def by_value(self) -> bool | Array:
+        """Whether the action of the highest value is recommended, or else that of the most visits."""
+        return self.recommendation.is_("value")
 
     def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> BeliefTree:
         """The tree after all iterations."""

@@ -4,7 +4,7 @@ Iteration i of a search adds at most the belief node i + 1 and the action node i
 write new nodes at the same index.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -80,10 +80,43 @@ class BeliefTree(eqx.Module):
             parameters=write_row(self.parameters, i, growth.parameters),
         )
 
-    def mean_returns(self, node: Int[Array, ""]) -> Float[Array, "A"]:
-        """Mean return of each action of a belief node; -inf for actions without a visit."""
-        visits, returns = self.totals[node, :, 0], self.totals[node, :, 1]
-        return jnp.where(visits > 0.0, returns / jnp.maximum(visits, 1.0), -jnp.inf)
+    def root_actions(self) -> "RootActions":
+        """What the tree knows about the actions of its root."""
+        totals = self.totals[ROOT]
+        return RootActions(self.parameters[self.children[ROOT]], totals[:, 0], totals[:, 1])
+
+
+class RootActions(NamedTuple):
+    """The actions of the root of a tree, or of several trees.
+
+    Attributes:
+        parameters: Parameters of each action; those of an action without a visit may be any.
+        visits: Number of visits of each action.
+        returns: Sum of returns of each action.
+    """
+
+    parameters: Num[Array, "A P"]
+    visits: Float[Array, "A"]
+    returns: Float[Array, "A"]
+
+    def values(self) -> Float[Array, "A"]:
+        """Mean return of each action; -inf for actions without a visit."""
+        return jnp.where(self.visits > 0.0, self.returns / jnp.maximum(self.visits, 1.0), -jnp.inf)
+
+    def recommended(self, by_value: bool | Array) -> "Recommendation":
+        """The action with the highest mean return, or else with the most visits."""
+        values = self.values()
+        slot = jnp.argmax(jnp.where(by_value, values, self.visits))
+        return Recommendation(slot, self.parameters[slot], values[slot], self.visits[slot])
+
+
+class Recommendation(NamedTuple):
+    """An action of the root, by its place there and its parameters, with its mean return and visits."""
+
+    slot: Int[Array, ""]
+    parameters: Num[Array, "P"]
+    value: Float[Array, ""]
+    visits: Float[Array, ""]
 
 
 class Growth(eqx.Module):

@@ -86,10 +86,15 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         key_paths, key_search = jax.random.split(key)
         model = self.model(key_paths, problem, belief)
         tree = self.search(key_search, model, belief)
-        best = self.recommended(tree)
+        best = tree.root_actions().recommended(self.by_value)
         # The reward of a path is that under the belief before it, which its branches share.
         branch = tree.branches[tree.children[ROOT, best.slot], 0]
-        return Plan(self.motions.path(best.parameters), tree.outcome[branch, 0], best.value, best.visits)
+        return Plan(
+            self.motions.path(best.parameters),
+            tree.outcome[branch, 0],
+            best.value,
+            best.visits.astype(jnp.int32),
+        )
 
     def model(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> PathModel:
         """What a plan for `belief` searches."""

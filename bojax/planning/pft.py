@@ -183,6 +183,8 @@ class PFT(BeliefSearch):
     max_actions: int = eqx.field(static=True)
     max_branches: int = eqx.field(static=True)
     num_particles: int = eqx.field(static=True)
+    trees: int = eqx.field(static=True)
+    merge_lengthscale: Float[Array, ""]
     information: Float[Array, ""] | None = None
 
     @override

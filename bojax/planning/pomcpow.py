@@ -60,6 +60,8 @@ class POMCPOW(BeliefSearch):
     max_actions: int = eqx.field(static=True)
     max_branches: int = eqx.field(static=True)
     num_reservoirs: int = eqx.field(static=True)
+    trees: int = eqx.field(static=True)
+    merge_lengthscale: Float[Array, ""]
 
     @override
     def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Reservoirs:

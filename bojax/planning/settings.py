@@ -331,6 +331,12 @@ class _BeliefSearch(_Widened, BeliefPlannerSettings, frozen=True):
         default=None, description="policy that gives the first action of the root; null for none"
     )
     depth: int = Field(default=10, ge=1, description="actions up to the horizon")
+    trees: int = Field(
+        default=1, ge=1, description="independent trees of a plan, each with this number of simulations"
+    )
+    merge_lengthscale: float = Field(
+        default=0.2, gt=0, description="distance at which first actions of several trees are alike"
+    )
 
 
 class PFTDPW(_BeliefSearch, frozen=True):

@@ -124,6 +124,14 @@ class Discrete(ActionSpace):
     def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
         return jnp.any(jnp.all(self.values == action[None], axis=1))
 
+    @override
+    def coordinates(self, parameters: Num[Array, "1"]) -> Float[Array, "0"]:
+        return jnp.zeros((0,), self.values.dtype)
+
+    @override
+    def level(self, parameters: Num[Array, "1"]) -> Int[Array, ""]:
+        return parameters[0].astype(jnp.int32)
+
 
 class Mixed(ActionSpace):
     """A vector of a box, then one of a few levels: [-1, 1] is divided equally among the levels.

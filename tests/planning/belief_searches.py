@@ -110,6 +110,8 @@ def planner(name, iterations, **changes):
         "depth": settings["depth"],
         "max_actions": settings["max_actions"],
         "max_branches": settings["max_branches"],
+        "trees": settings.get("trees", 1),
+        "merge_lengthscale": number(0.3),
     }
     if name == "pft":
         step = BeliefStep(settings["published"])

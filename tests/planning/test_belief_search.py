@@ -60,7 +60,7 @@ def test_the_tree_is_that_of_the_reference(name, changes):
     tree = search(search_planner, problem, belief)
     expected = reference_tree(search_planner, jax.random.key(KEY), problem, belief)
     assert compare(tree, ROOT, expected) > 60
-    best = int(jnp.argmax(tree.mean_returns(jnp.asarray(ROOT))))
+    best = int(tree.root_actions().recommended(by_value=True).slot)
     visited = [action for action in expected.actions if action.visits]
     assert expected.actions[best] is max(visited, key=lambda action: action.mean)
 
@@ -245,7 +245,7 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
         return jax.vmap(of_key)(keys)[:, 0]
 
     proposed = np.asarray(propose(proposal))
-    means = np.asarray(eqx.filter_jit(type(tree).mean_returns)(tree, jnp.asarray(ROOT, jnp.int32)))
+    means = np.asarray(tree.root_actions().values())
     actions = np.asarray(tree.parameters[tree.children[ROOT], 0])[np.isfinite(means)]
     best = actions[np.argmax(means)]
     nearest = actions[np.argmin(np.abs(proposed[:, None] - actions), axis=1)]
