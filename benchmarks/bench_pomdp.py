@@ -17,6 +17,7 @@ from options import make_parser, positive
 EXAMPLES = """\
   python benchmarks/bench_pomdp.py                 one core of a CPU, or a GPU
   python benchmarks/bench_pomdp.py --runs 1 32 --planners pomcpow --iterations 300
+  python benchmarks/bench_pomdp.py --runs 1 --trees 1 16 64
 """
 
 
@@ -35,11 +36,14 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--lanes", type=positive, help="maximum runs at once on a device (CPU 32; GPU all)")
     parser.add_argument("--iterations", type=positive, default=1000, help="simulations of a plan (1000)")
     parser.add_argument(
+        "--trees", type=positive, nargs="+", default=[1], help="independent trees of a plan (1)"
+    )
+    parser.add_argument(
         "--planners",
         nargs="+",
-        choices=("pomcpow", "pft-dpw"),
+        choices=("pomcpow", "vomcpow", "pft-dpw"),
         default=("pomcpow", "pft-dpw"),
-        help="planners of bojax (both)",
+        help="planners of bojax (pomcpow and pft-dpw)",
     )
     return parser.parse_args(argv)
 

@@ -15,7 +15,7 @@ from peers import installed, print_ratios
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
 from bojax.engine.build import build
-from bojax.planning.settings import PFTDPW, POMCPOW
+from bojax.planning.settings import PFTDPW, POMCPOW, VOMCPOW
 from bojax.problems import particles
 from bojax.problems.pomdp.settings import VdpTag
 
@@ -25,6 +25,7 @@ STORED = Path(__file__).with_name("results") / "2026-11-26-pomdpplanners-cpu.jso
 NUM_PARTICLES = 1000
 DEPTH = 10
 LANES_ON_CPU = 32
+SOLVERS = {"pomcpow": POMCPOW, "vomcpow": VOMCPOW, "pft-dpw": PFTDPW}
 
 
 def numba_plans(iterations: int) -> Callable[[int], Any]:
@@ -58,8 +59,8 @@ def main(argv: list[str]) -> int:
         seconds = median_seconds(lambda plan=plan, seeds=seeds: plan(next(seeds)), args.repeats)
         solver = {"Numba": "POMCPOW", "pomdp-py": "POMCP"}[name]
         rows.append(Row(f"{name}, {solver}", 1, seconds, args.iterations))
-    for kind in args.planners:
-        settings = {"pomcpow": POMCPOW, "pft-dpw": PFTDPW}[kind](iterations=args.iterations, depth=DEPTH)
+    for kind, trees in itertools.product(args.planners, args.trees):
+        settings = SOLVERS[kind](iterations=args.iterations, depth=DEPTH, trees=trees)
         planner = build(settings, "float32")
 
         def plan(run, planner=planner):
@@ -68,9 +69,10 @@ def main(argv: list[str]) -> int:
             made = planner.plan(key_plan, problem, belief)
             return made.action, made.value
 
+        name = f"bojax, {kind}" if trees == 1 else f"bojax, {kind}, {trees} trees"
         for runs in args.runs:
             lanes = jax.device_count() * (args.lanes or (runs if on_gpu() else LANES_ON_CPU))
-            row = time_runs(f"bojax, {kind}", plan, runs, lanes, args.iterations, args.repeats)
+            row = time_runs(name, plan, runs, lanes, trees * args.iterations, args.repeats)
             rows.append(row)
             print(f"{row.what}, {runs} runs: {_memory()}", flush=True)
     print_rows("VDP Tag", "iterations", rows, rows[0].what)
