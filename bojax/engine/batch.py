@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Int, Key, PyTree
 from bojax.engine import executables, program_cache
 from bojax.engine.autotuning import Choices, compile_again, contents_of
 from bojax.engine.devices import Device
-from bojax.engine.groups import StaticGroup
+from bojax.engine.groups import StaticGroup, nodes_with
 from bojax.engine.program_cache import FOUND, WRITTEN, Loaded, Program, Traced
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
 from bojax.engine.xla_choices import offer_shipped
@@ -193,7 +193,10 @@ class Programs:
         inputs = carry, lanes, self._shared
         programs = {}
         if self._is_compiled:
-            programs["advance"] = Program.of_trees(functions.advance, *inputs, donated=0)
+            gains = bool(nodes_with(self._group.static, "gains_from_passes"))
+            programs["advance"] = Program.of_trees(
+                functions.advance, *inputs, donated=0, gains_from_passes=gains
+            )
         programs["summary"] = Program.of_trees(functions.summary, *inputs)
         if self._num_recorded and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
             programs["snapshot"] = Program.of_trees(functions.snapshot, *inputs)

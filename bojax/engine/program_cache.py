@@ -158,21 +158,30 @@ class Program:
         inputs: Shapes and dtypes of the leaves.
         donated: Positions of the leaves whose buffers the program may overwrite.
         exported: The traced program, which can be saved; None if it is traced when it is compiled.
+        gains_from_passes: Whether a CPU gets XLA's full optimisation in place of a quicker compilation.
     """
 
     function: Callable[..., PyTree]
     inputs: Sequence[jax.ShapeDtypeStruct]
     donated: tuple[int, ...]
     exported: Exported | None = None
+    gains_from_passes: bool = False
 
     @classmethod
-    def of_trees(cls, function: Callable[..., PyTree], *inputs: PyTree, donated: int | None = None):
+    def of_trees(
+        cls,
+        function: Callable[..., PyTree],
+        *inputs: PyTree,
+        donated: int | None = None,
+        gains_from_passes: bool = False,
+    ):
         """The program that applies a function of trees to leaves.
 
         Args:
             function: The function. Its result consists of dictionaries, lists and tuples of arrays.
             inputs: Its inputs, as arrays or as their shapes and dtypes.
             donated: Index of the input whose buffers the program may overwrite; None for none.
+            gains_from_passes: As the attribute.
         """
         leaves, structure = jax.tree.flatten(inputs)
 
@@ -181,24 +190,26 @@ class Program:
 
         first = 0 if donated is None else len(jax.tree.leaves(inputs[:donated]))
         count = 0 if donated is None else len(jax.tree.leaves(inputs[donated]))
-        return cls(of_leaves, [_abstract(leaf) for leaf in leaves], tuple(range(first, first + count)))
+        at = tuple(range(first, first + count))
+        return cls(of_leaves, [_abstract(leaf) for leaf in leaves], at, None, gains_from_passes)
 
     @classmethod
-    def of_export(cls, exported: Exported, donated: Sequence[int]):
+    def of_export(cls, exported: Exported, donated: Sequence[int], gains_from_passes: bool):
         """The program that was exported."""
         inputs = [_abstract(aval) for aval in exported.in_avals]
-        return cls(exported.call, inputs, tuple(donated), exported)
+        return cls(exported.call, inputs, tuple(donated), exported, gains_from_passes)
 
     @classmethod
     def deserialized(cls, content: bytes):
         """The program of `serialized`; runs no code."""
-        donated, _, exported = content.partition(b"\n")
-        return cls.of_export(jax.export.deserialize(bytearray(exported)), json.loads(donated))
+        header, _, exported = content.partition(b"\n")
+        return cls.of_export(jax.export.deserialize(bytearray(exported)), *json.loads(header))
 
     def serialized(self) -> bytes:
         """The exported program as bytes."""
         assert self.exported is not None
-        return json.dumps(self.donated).encode() + b"\n" + self.exported.serialize()
+        header = json.dumps([self.donated, self.gains_from_passes])
+        return header.encode() + b"\n" + self.exported.serialize()
 
     def export(self, device: Device) -> "Program":
         """Trace the program for the platform of a device."""
@@ -206,7 +217,7 @@ class Program:
         make = jax.export.export(
             jax.jit(self.function), platforms=[_platform_of(device)], disabled_checks=checks
         )
-        return Program.of_export(make(*self.inputs), self.donated)
+        return Program.of_export(make(*self.inputs), self.donated, self.gains_from_passes)
 
     def compile(self, name: str, device: Device, **options: Any) -> Compiled:
         """Compile the program under a name for a device, or load it from JAX's cache.
@@ -218,7 +229,7 @@ class Program:
         """
         if device.platform == "cpu":
             initialize_lapack()
-            options = _cpu_options() | options
+            options = _cpu_options(self.gains_from_passes) | options
 
         def call(*leaves):
             return self.function(*leaves)
@@ -230,17 +241,16 @@ class Program:
         return jitted.lower(*inputs).compile(options or None)
 
 
-_ON_CPU = {"xla_backend_optimization_level": 1, "xla_llvm_disable_expensive_passes": True}
-"""Options of XLA's compiler for a CPU: a sixth less to compile, and most programs are not slower.
-
-Searches that propose actions by a Gaussian process are: level 3 makes them 2.3 times as fast.
-"""
+_QUICK, _FULL = 1, 3
+"""Levels of XLA's optimisation: with the first, a sixth less to compile, and most programs are not slower."""
 
 
-def _cpu_options() -> dict[str, Any]:
-    """Those of `_ON_CPU` that the user has not set."""
+def _cpu_options(gains_from_passes: bool) -> dict[str, Any]:
+    """Options of XLA's compiler for a CPU, without those that the user has set."""
+    level = _FULL if gains_from_passes else _QUICK
+    options = {"xla_backend_optimization_level": level, "xla_llvm_disable_expensive_passes": True}
     flags = os.environ.get("XLA_FLAGS", "")
-    return {name: value for name, value in _ON_CPU.items() if name not in flags}
+    return {name: value for name, value in options.items() if name not in flags}
 
 
 _PALLAS = "__gpu$xla.gpu.triton", "triton_kernel_call", "mosaic_gpu_v2"

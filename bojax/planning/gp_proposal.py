@@ -4,6 +4,8 @@ Morere, Marchant and Ramos propose actions by a Gaussian process over immediate 
 and 4; its Section 6.2 suggests returns). Returns of simulations are noisy means of unequally many samples.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -57,6 +59,12 @@ class GaussianProcessProposal(Proposal):
             drift while the subtree grows.
         num_initial: Number of first actions that are random.
         num_candidates: Number of random actions among which the proposal is chosen.
+    """
+
+    gains_from_passes: ClassVar[bool] = True
+    """Programs of the engine with this proposal are compiled with all of XLA's passes, also on a CPU.
+
+    Without them, its many small matrices are 2.3 times as slow.
     """
 
     learns: Target = eqx.field(static=True)

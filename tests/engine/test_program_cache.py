@@ -477,6 +477,36 @@ def test_options_of_the_compiler_for_a_cpu_give_way_to_flags_of_the_user(monkeyp
     assert given == [{"xla_backend_optimization_level": 1} | passes, passes]
 
 
+def test_programs_that_gain_from_xlas_passes_get_them_also_after_they_were_saved(monkeypatch):
+    given = []
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    program = program_cache.Program.of_trees(lambda x: x + 1, np.zeros(2), gains_from_passes=True)
+    made = program.compile("two", DEVICE)
+    monkeypatch.setattr(jax.stages.Lowered, "compile", lambda _, options: given.append(options) or made)
+    content = program.export(DEVICE).serialized()
+    for each in (program, program_cache.Program.deserialized(content)):
+        each.compile("two", DEVICE)
+    assert [options["xla_backend_optimization_level"] for options in given] == [3, 3]
+
+
+@pytest.mark.parametrize("proposal, gains", [("gp", True), ("random", False)])
+def test_advances_with_a_proposal_by_a_gaussian_process_gain_from_xlas_passes(monkeypatch, proposal, gains):
+    overrides = ["planner=pft-dpw", f"planner.proposal={proposal}", "problem.num_particles=8"]
+    (point,) = load_config("vdp-tag", overrides, None, None).points
+    (group,) = static_groups([build(point.config, "float64")])
+    monkeypatch.setattr(batch, "obtain", lambda key, device, trace, *_, **__: traced(trace()[0]))
+
+    def traced(programs):
+        raise StopIteration(programs)
+
+    with pytest.raises(StopIteration) as stopped:
+        programs_of(group)
+    programs = stopped.value.value
+    assert {name for name, each in programs.items() if each.gains_from_passes} == (
+        {"advance"} if gains else set()
+    )
+
+
 def test_only_rows_of_recorded_lanes_leave_the_device():
     programs = Programs(Functions(group_of()), DEVICE, 3, 0, recorded=2)
     given = programs.place(np.zeros(3, int), np.arange(3))
