@@ -5,9 +5,12 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
+
+from bojax.problems.pomdp.readings import Reading
 
 
-class Beams(eqx.Module):
+class Beams(Reading):
     """Independent Gaussian readings: one distribution for the target's beam, one for all others.
 
     Attributes:
@@ -26,18 +29,18 @@ class Beams(eqx.Module):
     other_noise: Float[Array, ""]
     num: int = eqx.field(static=True)
 
+    @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
-        """The readings of all beams."""
         is_target = self._is_target()
         mean = jnp.where(is_target, self.mean, self.other_mean)
         noise = jnp.where(is_target, self.noise, self.other_noise)
         return mean + noise * jax.random.normal(key, (self.num,), mean.dtype)
 
-    def log_density(self, readings: Float[Array, "O"]) -> Float[Array, ""]:
-        """Logarithm of the density of readings."""
+    @override
+    def log_density(self, observation: Float[Array, "O"]) -> Float[Array, ""]:
         # The sum over other beams is the same for all particles, which thus evaluate one beam each.
-        others = norm.logpdf(readings, self.other_mean, self.other_noise)
-        reading = readings[self.index]
+        others = norm.logpdf(observation, self.other_mean, self.other_noise)
+        reading = observation[self.index]
         instead = norm.logpdf(reading, self.other_mean, self.other_noise)
         return jnp.sum(others) - instead + norm.logpdf(reading, self.mean, self.noise)
 

@@ -7,11 +7,11 @@ from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Box
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import BinaryReading, ReadingProblem
 from bojax.results.outline import Outline
 
 
-class Hallway(StateProblem):
+class Hallway(ReadingProblem):
     """A position between two walls, moves of up to 1 m, and two sensors, of a door and of a wall beside.
 
     A move shorter than `stop` enters the door beside the robot and ends the episode: it pays 1 at the last
@@ -53,27 +53,8 @@ class Hallway(StateProblem):
         return jnp.where(stops, state, jnp.clip(moved, 0.0, self.length)), reward, stops
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "1"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "1"],
-    ) -> Float[Array, "2"]:
-        truth = self._beside(next_state)
-        is_right = jax.random.bernoulli(key, self.accuracy, (2,))
-        return jnp.where(is_right, truth, 1.0 - truth)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "2"],
-        state: Float[Array, "1"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "1"],
-    ) -> Float[Array, ""]:
-        is_right = observation == self._beside(next_state)
-        return jnp.sum(jnp.log(jnp.where(is_right, self.accuracy, 1.0 - self.accuracy)))
+    def reading(self, action: Float[Array, "1"], next_state: Float[Array, "1"]) -> BinaryReading:
+        return BinaryReading(self._beside(next_state), self.accuracy)
 
     @override
     def sketch(self, state: Float[Array, "1"]) -> dict[str, Float[Array, "1"]]:

@@ -12,14 +12,14 @@ from typing_extensions import override
 from bojax.problems import particles
 from bojax.problems.actions import Discrete
 from bojax.problems.particles import Particles
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
 from bojax.results.outline import Outline
 
 MAX_REPLACED = 0.05
 """Largest share of particles that the published filter replaces after an observation."""
 
 
-class LightDark(StateProblem):
+class LightDark(ReadingProblem):
     """A position that is clamped to [-radius, radius], and moves of 10, 1 or 0; the move 0 ends the episode.
 
     The standard deviation of an observation grows with the distance of the new position from the light.
@@ -86,24 +86,8 @@ class LightDark(StateProblem):
         return next_state[None], reward, ended
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "1"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "1"],
-    ) -> Float[Array, "1"]:
-        return next_state + self.noise_at(next_state) * jax.random.normal(key, (1,), state.dtype)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "1"],
-        state: Float[Array, "1"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "1"],
-    ) -> Float[Array, ""]:
-        return norm.logpdf(observation[0], next_state[0], self.noise_at(next_state)[0])
+    def reading(self, action: Float[Array, "1"], next_state: Float[Array, "1"]) -> GaussianReading:
+        return GaussianReading(next_state, self.noise_at(next_state))
 
     @override
     def filter(

@@ -3,16 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Balls
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
 from bojax.results.outline import Outline
 
 
-class LightDarkNd(StateProblem):
+class LightDarkNd(ReadingProblem):
     """Agents that start about the origin and must all reach a goal, past a ring of negative reward.
 
     A state is the position of each agent. The first agent observes its position relative to a beacon, every
@@ -76,27 +75,6 @@ class LightDarkNd(StateProblem):
         return next_state, jnp.mean(reward), ended
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "D"],
-        action: Float[Array, "D"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, "D"]:
-        mean, noise = self._reading(next_state)
-        return mean + noise * jax.random.normal(key, mean.shape, mean.dtype)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "D"],
-        state: Float[Array, "D"],
-        action: Float[Array, "D"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, ""]:
-        return jnp.sum(norm.logpdf(observation, *self._reading(next_state)))
-
-    @override
     def is_terminal(self, state: Float[Array, "D"]) -> Bool[Array, ""]:
         return jnp.all(self._goal_distances(state) < self.goal_tolerance)
 
@@ -108,13 +86,13 @@ class LightDarkNd(StateProblem):
         beacon = jnp.zeros(self.num_dims, self.discount.dtype).at[-1].set(0.5 * self.goal_distance)
         return beacon.at[0].add(self.beacon_offset)
 
-    def _reading(self, state: Float[Array, "D"]) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
-        """Mean and standard deviations of an observation."""
-        positions = state.reshape(self.num_agents, self.num_dims)
+    @override
+    def reading(self, action: Float[Array, "D"], next_state: Float[Array, "D"]) -> GaussianReading:
+        positions = next_state.reshape(self.num_agents, self.num_dims)
         offsets = positions - jnp.concatenate([self._beacon()[None], positions[:-1]])
         distance = _lengths(offsets)
         noise = jnp.minimum(self.max_noise, self.noise_scale * (distance + distance**self.noise_power))
-        return offsets.ravel(), jnp.repeat(noise, self.num_dims)
+        return GaussianReading(offsets.ravel(), jnp.repeat(noise, self.num_dims))
 
 
 def _lengths(vectors: Float[Array, "N D"]) -> Float[Array, "N"]:

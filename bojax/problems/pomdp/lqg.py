@@ -3,16 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Box
 from bojax.problems.kalman import Gaussian, LinearGaussian
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
 
 
-class Lqg(StateProblem):
+class Lqg(ReadingProblem):
     """Positions x with x' = A x + B a + noise, o = C x' + noise, and cost x'Q x + a'R a at each step.
 
     A state is x, then the number of steps taken. The episode ends after `max_steps` steps; the last one costs
@@ -72,22 +71,5 @@ class Lqg(StateProblem):
         return jnp.append(moved, time), -cost, ended
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, "O"]:
-        mean = self.sensor @ next_state[:-1]
-        return mean + self.sensor_noise * jax.random.normal(key, mean.shape, mean.dtype)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "O"],
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, ""]:
-        return jnp.sum(norm.logpdf(observation, self.sensor @ next_state[:-1], self.sensor_noise))
+    def reading(self, action: Float[Array, "K"], next_state: Float[Array, "D"]) -> GaussianReading:
+        return GaussianReading(self.sensor @ next_state[:-1], self.sensor_noise)

@@ -3,18 +3,17 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Box
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
 
 LOW, HIGH = (-1.2, -0.07), (0.6, 0.07)
 """Bounds of position and velocity, which also limit the motion."""
 
 
-class PomdpMountainCar(StateProblem):
+class PomdpMountainCar(ReadingProblem):
     """Build momentum to drive a weak car up a hill, with rewards of 1 at the goal and 0 elsewhere.
 
     A state is the position and the velocity per step, an action the fraction of the full force. Noise on the
@@ -54,24 +53,8 @@ class PomdpMountainCar(StateProblem):
         return next_state, is_there.astype(state.dtype), is_there
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "2"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "2"],
-    ) -> Float[Array, "1"]:
-        return next_state[:1] + self.sensor_noise * jax.random.normal(key, (1,), state.dtype)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "1"],
-        state: Float[Array, "2"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "2"],
-    ) -> Float[Array, ""]:
-        return norm.logpdf(observation[0], next_state[0], self.sensor_noise)
+    def reading(self, action: Float[Array, "1"], next_state: Float[Array, "2"]) -> GaussianReading:
+        return GaussianReading(next_state[:1], self.sensor_noise)
 
     @override
     def is_terminal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:

@@ -3,16 +3,15 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Box
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
 from bojax.results.outline import Outline
 
 
-class PomdpLander(StateProblem):
+class PomdpLander(ReadingProblem):
     """A rigid body in a plane, with a main engine and a lateral thruster off the centre of mass.
 
     A state is (x, z, theta, v_x, v_z, omega). An action is the lateral force, the thrust and the offset of
@@ -82,24 +81,9 @@ class PomdpLander(StateProblem):
         return next_state, reward, crashed | landed
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "6"],
-        action: Float[Array, "3"],
-        next_state: Float[Array, "6"],
-    ) -> Float[Array, "3"]:
-        return _reading(next_state) + self.sensor_noise * jax.random.normal(key, (3,), state.dtype)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "3"],
-        state: Float[Array, "6"],
-        action: Float[Array, "3"],
-        next_state: Float[Array, "6"],
-    ) -> Float[Array, ""]:
-        return jnp.sum(norm.logpdf(observation, _reading(next_state), self.sensor_noise))
+    def reading(self, action: Float[Array, "3"], next_state: Float[Array, "6"]) -> GaussianReading:
+        distance = next_state[1] / jnp.cos(next_state[2])
+        return GaussianReading(jnp.stack([distance, next_state[5], next_state[3]]), self.sensor_noise)
 
     @override
     def is_terminal(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
@@ -110,7 +94,3 @@ class PomdpLander(StateProblem):
 
     def _landed(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
         return state[1] <= self.landing_height
-
-
-def _reading(state: Float[Array, "6"]) -> Float[Array, "3"]:
-    return jnp.stack([state[1] / jnp.cos(state[2]), state[5], state[3]])

@@ -9,8 +9,8 @@ from typing_extensions import override
 
 from bojax.problems.actions import Discrete
 from bojax.problems.pomdp.beams import Beams, beam_towards
+from bojax.problems.pomdp.readings import ReadingProblem
 from bojax.problems.pomdp.sub_hunt_values import Rules, solve
-from bojax.problems.state_space import StateProblem
 from bojax.results.outline import Outline
 
 PING, ENGAGE = 4, 5
@@ -27,7 +27,7 @@ _TARGET_MOVES = np.stack(
 """Moves of the target, by its direction: two cells ahead, or one ahead and one to the left or the right."""
 
 
-class SubHunt(StateProblem):
+class SubHunt(ReadingProblem):
     """Two submarines on a grid of cells from 1 to `size`; the target heads for the opposite edge.
 
     A state is the own position, the target's, its direction (north, east, south, west: 0 to 3), and whether
@@ -100,26 +100,6 @@ class SubHunt(StateProblem):
         return next_state.astype(state.dtype), reward, killed | self.has_escaped(next_state)
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "6"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "6"],
-    ) -> Float[Array, "O"]:
-        return self._beams(action, next_state).sample(key)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "O"],
-        state: Float[Array, "6"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "6"],
-    ) -> Float[Array, ""]:
-        return self._beams(action, next_state).log_density(observation)
-
-    @override
     def heuristic_value(self, state: Float[Array, "6"]) -> Float[Array, ""]:
         return jnp.max(self.values_at(state))
 
@@ -178,7 +158,8 @@ class SubHunt(StateProblem):
     def _clamp(self, position: Int[Array, "*N 2"]) -> Int[Array, "*N 2"]:
         return jnp.clip(position, 1, self.size)
 
-    def _beams(self, action: Float[Array, "1"], next_state: Float[Array, "6"]) -> Beams:
+    @override
+    def reading(self, action: Float[Array, "1"], next_state: Float[Array, "6"]) -> Beams:
         offset = next_state[2:4] - next_state[:2]
         distance, pings = _length(offset), action[0] == PING
         detected = distance <= self.detection_radius

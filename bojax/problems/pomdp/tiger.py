@@ -7,10 +7,10 @@ from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Discrete
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import BinaryReading, ReadingProblem
 
 
-class Tiger(StateProblem):
+class Tiger(ReadingProblem):
     """A tiger behind the left door (0) or the right one (1); listen (0), open left (1) or open right (2).
 
     An observation is the side that the tiger is heard on. A door that is opened places the tiger anew, and
@@ -46,26 +46,5 @@ class Tiger(StateProblem):
         return next_state, jnp.where(listens, self.listen_reward, opened), jnp.zeros((), bool)
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "1"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "1"],
-    ) -> Float[Array, "1"]:
-        is_right = jax.random.bernoulli(key, self._accuracy(action), (1,))
-        return jnp.where(is_right, next_state, 1.0 - next_state)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "1"],
-        state: Float[Array, "1"],
-        action: Float[Array, "1"],
-        next_state: Float[Array, "1"],
-    ) -> Float[Array, ""]:
-        accuracy = self._accuracy(action)
-        return jnp.log(jnp.where(observation[0] == next_state[0], accuracy, 1.0 - accuracy))
-
-    def _accuracy(self, action: Float[Array, "1"]) -> Float[Array, ""]:
-        return jnp.where(action[0] == 0.0, self.accuracy, 0.5)
+    def reading(self, action: Float[Array, "1"], next_state: Float[Array, "1"]) -> BinaryReading:
+        return BinaryReading(next_state, jnp.where(action[0] == 0.0, self.accuracy, 0.5))

@@ -8,11 +8,11 @@ from typing_extensions import override
 
 from bojax.problems.actions import Box, Mixed
 from bojax.problems.pomdp.beams import Beams, beam_towards
-from bojax.problems.state_space import StateProblem
+from bojax.problems.pomdp.readings import ReadingProblem
 from bojax.results.outline import Outline
 
 
-class VdpTag(StateProblem):
+class VdpTag(ReadingProblem):
     """An agent that barriers on the axes stop, and a target that they do not.
 
     A state is the agent's position, then the target's. An action is an angle in [0, 2 pi] and whether to
@@ -64,26 +64,6 @@ class VdpTag(StateProblem):
         return next_state, reward + action[1] * self.look_reward, tagged
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "4"],
-        action: Float[Array, "2"],
-        next_state: Float[Array, "4"],
-    ) -> Float[Array, "O"]:
-        return self._beams(action, next_state).sample(key)
-
-    @override
-    def log_likelihood(
-        self,
-        observation: Float[Array, "O"],
-        state: Float[Array, "4"],
-        action: Float[Array, "2"],
-        next_state: Float[Array, "4"],
-    ) -> Float[Array, ""]:
-        return self._beams(action, next_state).log_density(observation)
-
-    @override
     def is_terminal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
         return _length(state[2:] - state[:2]) < self.tag_radius
 
@@ -125,7 +105,8 @@ class VdpTag(StateProblem):
         margin = 2.0 * jnp.finfo(agent.dtype).eps
         return agent + jnp.min(jnp.where(is_hit, fraction - margin, 1.0)) * move
 
-    def _beams(self, action: Float[Array, "2"], next_state: Float[Array, "4"]) -> Beams:
+    @override
+    def reading(self, action: Float[Array, "2"], next_state: Float[Array, "4"]) -> Beams:
         offset = next_state[2:] - next_state[:2]
         noise = jnp.where(action[1] > 0.0, self.look_noise, self.noise)
         index = beam_towards(offset, self.num_beams)
