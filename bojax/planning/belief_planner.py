@@ -108,10 +108,10 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
         merge_lengthscale: Distance at which actions of different trees are alike, see `recommended_by_all`.
     """
 
-    leaf_value: eqx.AbstractVar[LeafValue]
-    first_action: eqx.AbstractVar[Policy | None]
-    trees: eqx.AbstractVar[int]
-    merge_lengthscale: eqx.AbstractVar[Float[Array, ""]]
+    leaf_value: LeafValue
+    first_action: Policy | None = eqx.field(static=True, converter=policy_named)
+    trees: int = eqx.field(static=True)
+    merge_lengthscale: Float[Array, ""]
 
     @override
     def check(self, problem: Problem) -> None:

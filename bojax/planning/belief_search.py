@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 
-from bojax.numerics.choices import Choice
+from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
 from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
@@ -66,15 +66,15 @@ class BeliefTreeSearch(eqx.Module):
         max_branches: Capacity of an action node; with 1, a tree plans on one foreseen observation.
     """
 
-    exploration: eqx.AbstractVar[Float[Array, ""]]
-    action_widening: eqx.AbstractVar[Widening]
-    observation_widening: eqx.AbstractVar[Widening]
-    proposal: eqx.AbstractVar[Proposal]
-    recommendation: eqx.AbstractVar[Choice]
-    iterations: eqx.AbstractVar[int]
-    depth: eqx.AbstractVar[int]
-    max_actions: eqx.AbstractVar[int]
-    max_branches: eqx.AbstractVar[int]
+    exploration: Float[Array, ""]
+    action_widening: Widening
+    observation_widening: Widening
+    proposal: Proposal
+    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    max_actions: int = eqx.field(static=True)
+    max_branches: int = eqx.field(static=True)
 
     @abc.abstractmethod
     def root(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Belief:
@@ -88,11 +88,10 @@ class BeliefTreeSearch(eqx.Module):
         """Parameters of the first action of the root; None to propose it as the others."""
         return None
 
-    @abc.abstractmethod
     def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
-        """Score of an action without a visit, at a node with `visits`."""
+        """Score of an action without a visit, at a node with `visits`; infinity by default."""
+        return jnp.asarray(jnp.inf, visits.dtype)
 
-    @abc.abstractmethod
     def follow(
         self,
         key: Key[Array, ""],
@@ -106,8 +105,11 @@ class BeliefTreeSearch(eqx.Module):
         """Pass along an existing branch, to the belief node `branch`, with the state of the simulation.
 
         Returns the beliefs of the tree, unchanged unless `is_followed`, the next state, the reward, and
-        whether the simulation has ended.
+        whether the simulation has ended. By default, these are the reward and the end of the simulation that
+        added the branch, and nothing else changes.
         """
+        reward, is_terminal = row(tree.outcome, branch)
+        return tree.beliefs, state, reward, is_terminal > 0.0
 
     @abc.abstractmethod
     def expand(

@@ -13,11 +13,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions
-from bojax.numerics.choices import Choice, one_of
 from bojax.planning.base import PathPlanner, Plan
-from bojax.planning.belief_search import RECOMMENDATIONS, BeliefTreeSearch, Expansion
-from bojax.planning.belief_tree import BeliefTree, Widening, row
-from bojax.planning.proposals import Proposal
+from bojax.planning.belief_search import BeliefTreeSearch, Expansion
+from bojax.planning.belief_tree import BeliefTree, row
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Box
 from bojax.problems.base import Belief, Objective
@@ -68,16 +66,7 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
     """
 
     motions: ContinuousMotions
-    exploration: Float[Array, ""]
-    action_widening: Widening
-    observation_widening: Widening
-    proposal: Proposal
-    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
     discount: Float[Array, ""]
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
-    max_actions: int = eqx.field(static=True)
-    max_branches: int = eqx.field(static=True)
     num_rollout_paths: int = eqx.field(static=True)
     objective: Objective = None
 
@@ -110,24 +99,6 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
     @override
     def states(self, key: Key[Array, ""], belief: Belief) -> Float[Array, "N 0"]:
         return jnp.zeros((self.iterations, 0), self.discount.dtype)
-
-    @override
-    def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
-        return jnp.asarray(jnp.inf, visits.dtype)
-
-    @override
-    def follow(
-        self,
-        key: Key[Array, ""],
-        problem: PathModel,
-        tree: BeliefTree,
-        state: Float[Array, "0"],
-        action: Float[Array, "K"],
-        branch: Int[Array, ""],
-        is_followed: Bool[Array, ""],
-    ) -> tuple[Node, Float[Array, "0"], Float[Array, ""], Bool[Array, ""]]:
-        reward, is_terminal = row(tree.outcome, branch)
-        return tree.beliefs, state, reward, is_terminal > 0.0
 
     @override
     def expand(

@@ -6,14 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
-from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane
 from bojax.planning.belief_planner import BeliefSearch, States
-from bojax.planning.belief_search import RECOMMENDATIONS, Expansion
-from bojax.planning.belief_tree import BeliefTree, Widening, row
+from bojax.planning.belief_search import Expansion
+from bojax.planning.belief_tree import BeliefTree, row
 from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums
 from bojax.planning.oracles import policy_named
-from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles, systematic
 from bojax.problems.state_space import StateProblem
@@ -170,21 +168,8 @@ class PFT(BeliefSearch):
         information: Reward of a nat of entropy; None for none.
     """
 
-    exploration: Float[Array, ""]
-    action_widening: Widening
-    observation_widening: Widening
-    proposal: Proposal
-    leaf_value: LeafValue
-    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
     belief_step: BeliefStep = eqx.field(converter=belief_step_named)
-    first_action: Policy | None = eqx.field(static=True, converter=policy_named)
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
-    max_actions: int = eqx.field(static=True)
-    max_branches: int = eqx.field(static=True)
     num_particles: int = eqx.field(static=True)
-    trees: int = eqx.field(static=True)
-    merge_lengthscale: Float[Array, ""]
     information: Float[Array, ""] | None = None
 
     @override
@@ -197,20 +182,6 @@ class PFT(BeliefSearch):
     @override
     def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
         return jnp.where(visits <= 1.0, 0.0, jnp.inf)
-
-    @override
-    def follow(
-        self,
-        key: Key[Array, ""],
-        problem: StateProblem,
-        tree: BeliefTree,
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        branch: Int[Array, ""],
-        is_followed: Bool[Array, ""],
-    ) -> tuple[ParticleSet, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
-        reward, is_terminal = row(tree.outcome, branch)
-        return tree.beliefs, state, reward, is_terminal > 0.0
 
     @override
     def expand(

@@ -6,14 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
-from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.simulation_keys import random_index
 from bojax.planning.belief_planner import BeliefSearch, States
-from bojax.planning.belief_search import RECOMMENDATIONS, Expansion
-from bojax.planning.belief_tree import BeliefTree, Widening, row
-from bojax.planning.leaf_values import LeafValue, Policy
-from bojax.planning.oracles import policy_named
-from bojax.planning.proposals import Proposal
+from bojax.planning.belief_search import Expansion
+from bojax.planning.belief_tree import BeliefTree, row
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
@@ -48,20 +44,7 @@ class POMCPOW(BeliefSearch):
         num_reservoirs: The number K.
     """
 
-    exploration: Float[Array, ""]
-    action_widening: Widening
-    observation_widening: Widening
-    proposal: Proposal
-    leaf_value: LeafValue
-    recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
-    first_action: Policy | None = eqx.field(static=True, converter=policy_named)
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
-    max_actions: int = eqx.field(static=True)
-    max_branches: int = eqx.field(static=True)
     num_reservoirs: int = eqx.field(static=True)
-    trees: int = eqx.field(static=True)
-    merge_lengthscale: Float[Array, ""]
 
     @override
     def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Reservoirs:
@@ -73,10 +56,6 @@ class POMCPOW(BeliefSearch):
             jnp.zeros(observation.shape, observation.dtype),
             jnp.zeros((), state.dtype),
         )
-
-    @override
-    def score_unvisited(self, visits: Float[Array, ""]) -> Float[Array, ""]:
-        return jnp.asarray(jnp.inf, visits.dtype)
 
     @override
     def follow(
