@@ -6,65 +6,54 @@ same. As in bojax: PFT ends branches with the observed termination; POMCPOW's br
 """
 
 import math
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 
+@dataclass(eq=False)
 class Belief:
     """A belief node; `content` is a particle set, or what POMCPOW keeps of a branch."""
 
-    def __init__(self, content, reward=0.0, is_terminal=False):
-        self.content = content
-        self.reward = reward
-        self.is_terminal = is_terminal
-        self.actions = []
+    content: Any
+    reward: float = 0.0
+    is_terminal: bool = False
+    actions: list["Action"] = field(default_factory=list)
 
     @property
     def visits(self):
         return sum(action.visits for action in self.actions)
 
 
+@dataclass(eq=False)
 class Action:
     """An action node."""
 
-    def __init__(self):
-        self.parameters = None  # proposed at the first visit
-        self.branches = []
-        self.visits = 0
-        self.total = 0.0
-        self.rewards = []
-        self.returns = []
+    parameters: Any = None  # proposed at the first visit
+    branches: list[Any] = field(default_factory=list)
+    visits: int = 0
+    total: float = 0.0
+    rewards: list[float] = field(default_factory=list)
+    returns: list[float] = field(default_factory=list)
 
     @property
     def mean(self):
         return self.total / self.visits
 
 
+@dataclass
 class Search:
-    """What both planners share.
+    """What both planners share."""
 
-    Args:
-        draws: Random numbers, and the problem's steps.
-        exploration: The factor c.
-        widening: k and alpha of the actions; None if all `num_actions` exist at once.
-        observation_widening: k and alpha of the branches.
-        depth: Actions to the horizon.
-        discount: Discount an action.
-        num_actions: Number of actions if they are finite.
-        max_branches: Most branches of an action.
-    """
-
-    def __init__(
-        self, draws, exploration, widening, observation_widening, depth, discount, num_actions, max_branches
-    ):
-        self.draws = draws
-        self.exploration = exploration
-        self.widening = widening
-        self.observation_widening = observation_widening
-        self.depth = depth
-        self.discount = discount
-        self.num_actions = num_actions
-        self.max_branches = max_branches
+    draws: Any  # random numbers, and the problem's steps
+    exploration: float  # the factor c
+    widening: Any  # k and alpha of the actions; None if all `num_actions` exist at once
+    observation_widening: Any  # k and alpha of the branches
+    depth: int  # actions to the horizon
+    discount: float  # an action
+    num_actions: int  # if they are finite
+    max_branches: int  # most branches of an action
 
     def search(self, content, iterations):
         root = Belief(content)

@@ -1,20 +1,23 @@
 """Stationary kernels and a Gaussian process, from all of its data at once (2.28-2.29, with a prior mean)."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 
 
+@dataclass
 class Stationary:
     """k(x, y) = profile(r) with r the distance in lengthscales.
 
     Its gradient in x is slope(r) (x - y) / lengthscale^2, with slope(r) = profile'(r) / r.
     """
 
-    def __init__(self, profile, slope, lengthscale):
-        self.profile = profile
-        self.slope = slope
-        self.lengthscale = lengthscale
+    profile: Any
+    slope: Any
+    lengthscale: Any
 
     def __call__(self, xs, ys):
         return self.profile(cdist(xs / self.lengthscale, ys / self.lengthscale))
@@ -61,10 +64,10 @@ def matern52_slope(r):
     return -5.0 / 3.0 * (1.0 + s) * np.exp(-s)
 
 
+@dataclass
 class Scaled:
-    def __init__(self, kernel, variance):
-        self.kernel = kernel
-        self.variance = variance
+    kernel: Any
+    variance: Any
 
     def __call__(self, xs, ys):
         return self.variance * self.kernel(xs, ys)
@@ -73,10 +76,10 @@ class Scaled:
         return self.variance * self.kernel.gradient(xs, ys)
 
 
+@dataclass
 class Sum:
-    def __init__(self, first, second):
-        self.first = first
-        self.second = second
+    first: Any
+    second: Any
 
     def __call__(self, xs, ys):
         return self.first(xs, ys) + self.second(xs, ys)
@@ -85,10 +88,10 @@ class Sum:
         return self.first.gradient(xs, ys) + self.second.gradient(xs, ys)
 
 
+@dataclass
 class Product:
-    def __init__(self, first, second):
-        self.first = first
-        self.second = second
+    first: Any
+    second: Any
 
     def __call__(self, xs, ys):
         return self.first(xs, ys) * self.second(xs, ys)

@@ -1,6 +1,8 @@
 """GPS-ABT: a node's actions are points of a stencil tree (Seiler et al., ICRA 2015)."""
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,41 +66,18 @@ def _opposite(p):
     return p + 1 if p % 2 == 1 else p - 1
 
 
+@dataclass(kw_only=True)
 class PatternSearch(TreeSearch):
-    """Tree search over stencils, with the public toolkit's rules.
+    """Tree search over stencils, with the public toolkit's rules."""
 
-    Args:
-        motions_path: The path of a parameter vector.
-        num_params: Dimension of the parameters.
-        order: For each iteration a random number for each point: untried points, highest first.
-        growth: k; a node visited N times has fewer than ln N / ln k levels of refinement.
-        min_visits: Visits that every best point on the way needs before a refinement.
-        min_radius: Smallest radius that is refined.
-        initial_radius: Radius of a node's first stencil.
-        max_levels: Most stencils on one walk.
-    """
-
-    def __init__(
-        self,
-        motions_path,
-        num_params,
-        order,
-        growth,
-        min_visits,
-        min_radius,
-        initial_radius,
-        max_levels,
-        **settings,
-    ):
-        super().__init__(**settings)
-        self.motions_path = motions_path
-        self.num_params = num_params
-        self.order = order
-        self.growth = growth
-        self.min_visits = min_visits
-        self.min_radius = min_radius
-        self.initial_radius = initial_radius
-        self.max_levels = max_levels
+    motions_path: Any  # the path of a parameter vector
+    num_params: int  # dimension of the parameters
+    order: Any  # for each iteration a random number for each point: untried points, highest first
+    growth: float  # k; a node visited N times has fewer than ln N / ln k levels of refinement
+    min_visits: int  # that every best point on the way needs before a refinement
+    min_radius: float  # smallest radius that is refined
+    initial_radius: float  # of a node's first stencil
+    max_levels: int  # most stencils on one walk
 
     def walk(self, v):
         """Stencils from the first one of `v` down the best points, to untried points or to a leaf."""

@@ -1,5 +1,8 @@
 """Continuous belief tree search as in Algorithms 3 and 4: a node's new actions come from its own GP."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from scipy.stats import rankdata
 
@@ -7,47 +10,20 @@ from tests.reference.gaussian_process import NodeGP
 from tests.reference.mcts import TreeSearch
 
 
+@dataclass(kw_only=True)
 class ContinuousBeliefTreeSearch(TreeSearch):
-    """Algorithm 4; actions are parameter vectors out of a set of candidates.
+    """Algorithm 4; actions are parameter vectors out of a set of candidates."""
 
-    Args:
-        kernel: Kernel of the node GPs.
-        acquisition: The h of (4.2).
-        noise_variance: Noise of the node GPs.
-        max_actions: A_max.
-        convergence: The delta of Section 4.4; 0 for no such stop.
-        scaling: `"standardise"`, `"rank"` or `"none"`.
-        candidates: Parameters of the candidates.
-        paths: Their paths.
-        num_initial: First actions of a node that are random.
-        initial: The random candidate of each iteration.
-    """
-
-    def __init__(
-        self,
-        kernel,
-        acquisition,
-        noise_variance,
-        max_actions,
-        convergence,
-        scaling,
-        candidates,
-        paths,
-        num_initial,
-        initial,
-        **settings,
-    ):
-        super().__init__(**settings)
-        self.kernel = kernel
-        self.acquisition = acquisition
-        self.noise_variance = noise_variance
-        self.max_actions = max_actions
-        self.convergence = convergence
-        self.scaling = scaling
-        self.candidates = candidates
-        self.paths = paths
-        self.num_initial = num_initial
-        self.initial = initial
+    kernel: Any  # of the node GPs
+    acquisition: Any  # the h of (4.2)
+    noise_variance: float  # of the node GPs
+    max_actions: int  # A_max
+    convergence: float  # the delta of Section 4.4; 0 for no such stop
+    scaling: str  # "standardise", "rank" or "none"
+    candidates: np.ndarray  # their parameters
+    paths: Any  # of the candidates
+    num_initial: int  # first actions of a node that are random
+    initial: Any  # the random candidate of each iteration
 
     def has_untried(self, v):
         return len(v.children) < self.max_actions and not self.has_converged(v)

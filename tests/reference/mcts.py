@@ -5,50 +5,44 @@ action of the highest mean return; the root's visits count.
 """
 
 import math
+from dataclasses import dataclass, field
+from typing import Any
 
 
+@dataclass(eq=False)
 class Node:
     """A belief, and the action that led to it from the parent's belief."""
 
-    def __init__(self, belief, parent=None, action=None, reward=0.0, is_terminal=False, index=0):
-        self.belief = belief
-        self.parent = parent
-        self.action = action
-        self.reward = reward
-        self.is_terminal = is_terminal
-        self.index = index  # number of the iteration that made the node, from 1
-        self.depth = 0 if parent is None else parent.depth + 1
-        self.children = []
-        self.visits = 0
-        self.total_return = 0.0
-        self.rollouts = []  # discounted rewards of the rollouts that started here
+    belief: Any
+    parent: "Node | None" = None
+    action: Any = None
+    reward: float = 0.0
+    is_terminal: bool = False
+    index: int = 0  # number of the iteration that made the node, from 1
+    children: list["Node"] = field(default_factory=list)
+    visits: int = 0
+    total_return: float = 0.0
+    rollouts: list[float] = field(default_factory=list)  # discounted rewards of those that started here
+
+    def __post_init__(self):
+        self.depth = 0 if self.parent is None else self.parent.depth + 1
 
     @property
     def mean_return(self):
         return self.total_return / self.visits
 
 
+@dataclass(kw_only=True)
 class TreeSearch:
-    """What Algorithms 2 and 4 share; a planner says how a node chooses its actions.
+    """What Algorithms 2 and 4 share; a planner says how a node chooses its actions."""
 
-    Args:
-        problem: `problem.drive(belief, path, draws)` gives (belief, reward, is_terminal).
-        iterations: Simulations a plan.
-        depth: Actions to the horizon.
-        discount: Discount an action.
-        exploration: kappa_MC.
-        rollout_paths: For each iteration the paths of its rollout, one for each action but the first.
-        draws: For each iteration what the problem draws for its actions, the new one first.
-    """
-
-    def __init__(self, problem, iterations, depth, discount, exploration, rollout_paths, draws):
-        self.problem = problem
-        self.iterations = iterations
-        self.depth = depth
-        self.discount = discount
-        self.exploration = exploration
-        self.rollout_paths = rollout_paths
-        self.draws = draws
+    problem: Any  # `problem.drive(belief, path, draws)` gives (belief, reward, is_terminal)
+    iterations: int  # simulations a plan
+    depth: int  # actions to the horizon
+    discount: float  # an action
+    exploration: float  # kappa_MC
+    rollout_paths: Any  # for each iteration the paths of its rollout, one for each action but the first
+    draws: Any  # for each iteration what the problem draws for its actions, the new one first
 
     def search(self, belief):
         """The tree, by its root."""
@@ -116,13 +110,12 @@ class TreeSearch:
         """What else a node remembers of a new action."""
 
 
+@dataclass(kw_only=True)
 class DiscreteTreeSearch(TreeSearch):
     """Algorithm 2 over a finite set of paths; the order of untried actions is drawn beforehand."""
 
-    def __init__(self, paths, order, **settings):
-        super().__init__(**settings)
-        self.paths = paths
-        self.order = order
+    paths: Any
+    order: Any
 
     def has_untried(self, v):
         return len(v.children) < len(self.paths)
