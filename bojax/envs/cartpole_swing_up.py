@@ -1,7 +1,5 @@
 """Swing a pole up by moving the cart it hangs from (thesis, p. 107): Gym's CartPole, started hanging."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,7 +35,6 @@ class CartpoleSwingUp(ControlTask):
     max_force: Float[Array, ""]
     time_step: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     actions: Choice = eqx.field(converter=one_of("continuous", "sign"))
 
     @property

@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
-from bojax.envs.tabular import TabularEnv
+from bojax.envs.tabular import TabularEnv, moved_to
 
 LEFT, RIGHT = 0, 1
 
@@ -62,10 +62,4 @@ class Chain(TabularEnv):
         after = jnp.clip(jnp.where(is_right, state + 1, state - 1), 0, goal)
         is_goal = after == goal
         penalty = ((branch == 1) | (branch == 3)).astype(self.length.dtype)
-        return TimeStep(
-            observation=after,
-            reward=jnp.where(is_goal, 1.0, -penalty),
-            terminated=is_goal,
-            truncated=jnp.zeros((), bool),
-            success=is_goal,
-        )
+        return moved_to(after, jnp.where(is_goal, 1.0, -penalty), is_goal)

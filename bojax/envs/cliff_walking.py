@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
-from bojax.envs.tabular import TabularEnv
+from bojax.envs.tabular import TabularEnv, moved_to
 
 ROWS, COLUMNS = 4, 12
 START, GOAL = 36, 47
@@ -62,10 +62,4 @@ class CliffWalking(TabularEnv):
             reward = jnp.where(falls, -100.0, -1.0).astype(self.reward_scale.dtype)
         else:
             reward = is_goal.astype(self.reward_scale.dtype) - falls.astype(self.reward_scale.dtype)
-        return TimeStep(
-            observation=jnp.where(falls, START, cell),
-            reward=self.reward_scale * reward,
-            terminated=is_goal,
-            truncated=jnp.zeros((), bool),
-            success=is_goal,
-        )
+        return moved_to(jnp.where(falls, START, cell), self.reward_scale * reward, is_goal)

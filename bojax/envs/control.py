@@ -39,7 +39,7 @@ class ControlTask(Env):
     reward, unless the state is a failure. A step after which the simulation has diverged pays NaN.
     """
 
-    reward: eqx.AbstractVar[Literal["goal-only", "classic"]]
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
 
     @abc.abstractmethod
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:

@@ -39,7 +39,6 @@ class DoublePendulum(ControlTask):
     max_torque: Float[Array, ""]
     time_step: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     actuated: Choice = eqx.field(converter=one_of("base", "elbow"))
     goal: Literal["distance", "height"] = eqx.field(static=True)
     actions: Choice = eqx.field(converter=one_of("continuous", "sign"))

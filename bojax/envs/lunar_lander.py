@@ -1,7 +1,5 @@
 """Land on a pad (thesis, p. 107): Gym's continuous LunarLander with a goal."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -44,7 +42,6 @@ class LunarLander(ControlTask):
     max_push: Float[Array, ""]
     max_speed: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     goal: Choice = eqx.field(converter=one_of("distance", "box"))
     classic_reward: Choice = eqx.field(converter=one_of("gym", "published"))
 

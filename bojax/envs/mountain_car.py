@@ -33,7 +33,6 @@ class MountainCar(ControlTask):
     gravity: Float[Array, ""]
     threshold: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     actions: Literal["continuous", "thresholded"] = eqx.field(static=True)
 
     @property

@@ -44,7 +44,6 @@ class PointMaze(ControlTask):
     move: Float[Array, ""]
     goal_radius: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     layout: Literal["open", "wall", "maze", "rooms"] = eqx.field(static=True)
 
     @property

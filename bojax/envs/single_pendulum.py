@@ -1,7 +1,5 @@
 """Swing a pendulum up with a motor too weak to lift it (thesis, p. 107): Gym's Pendulum with a goal."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -35,7 +33,6 @@ class SinglePendulum(ControlTask):
     max_speed: Float[Array, ""]
     time_step: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     classic_ends_at_goal: Bool[Array, ""] = eqx.field(converter=jnp.asarray)
 
     @property

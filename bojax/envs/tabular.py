@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.envs.base import Env, TimeStep
@@ -69,3 +69,8 @@ class TabularEnv(Env):
             return self.probabilities(state, action), outcomes
 
         return jax.vmap(lambda state: jax.vmap(lambda action: of_pair(state, action))(actions))(states)
+
+
+def moved_to(state: Int[Array, ""], reward: Float[Array, ""], is_goal: Bool[Array, ""]) -> TimeStep:
+    """The time step to a state, which ends the episode with a success if the state is the goal."""
+    return TimeStep(state, reward, terminated=is_goal, truncated=jnp.zeros((), bool), success=is_goal)

@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
-from bojax.envs.tabular import TabularEnv
+from bojax.envs.tabular import TabularEnv, moved_to
 
 SIZE = 5
 PLACES = (0, 4, 20, 23)  # cells of the places red, green, yellow and blue; cells are numbered row by row
@@ -88,13 +88,8 @@ class Taxi(TabularEnv):
             is_wrong = (is_pick_up & ~picks_up) | (is_drop_off & ~arrives)
             right, wrong, else_ = 1.0, -0.1, 0.0
         reward = jnp.where(arrives, right, jnp.where(is_wrong, wrong, else_))
-        return TimeStep(
-            observation=((cell + move) * 5 + passenger) * 4 + destination,
-            reward=self.reward_scale * reward.astype(self.reward_scale.dtype),
-            terminated=arrives,
-            truncated=jnp.zeros((), bool),
-            success=arrives,
-        )
+        after = ((cell + move) * 5 + passenger) * 4 + destination
+        return moved_to(after, self.reward_scale * reward.astype(self.reward_scale.dtype), arrives)
 
 
 def _place(cell: Int[Array, ""]) -> Int[Array, ""]:

@@ -19,7 +19,7 @@ from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct, write_row
+from bojax.planning.tree import UNVISITED, Tree, best_by_uct, write_row
 from bojax.problems.base import Objective
 
 Scaling = Literal["standardise", "rank", "none"]
@@ -125,9 +125,6 @@ class ContinuousBeliefTreeSearch(
     noise_variance: Float[Array, ""]
     exploration: Float[Array, ""]
     convergence: Float[Array, ""]
-    discount: Float[Array, ""]
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
     max_actions: Bool[Array, "A"] = eqx.field(converter=_places)
     num_candidates: int = eqx.field(static=True)
     num_initial: int = eqx.field(static=True)
@@ -256,10 +253,6 @@ class ContinuousBeliefTreeSearch(
             num_ignored=jnp.zeros((), jnp.int32),
         )
         return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))
-
-    @override
-    def recommend(self, tree: Tree, memory: NodeModels) -> Int[Array, ""]:
-        return best_by_mean(tree)
 
     @override
     def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:

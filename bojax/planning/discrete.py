@@ -1,5 +1,7 @@
 """Tree search over a finite set of actions: SBO, BO-POMDP and plain MCTS (Algorithm 2)."""
 
+from operator import methodcaller
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions, Path
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct, write_row
+from bojax.planning.tree import UNVISITED, Tree, best_by_uct, write_row
 from bojax.problems.base import Objective
 
 
@@ -36,10 +38,6 @@ class DiscreteDraws(eqx.Module):
     order: Float[Array, "... A"]
 
 
-def _with_room(motions: DiscreteMotions) -> DiscreteMotions:
-    return motions.with_room()
-
-
 class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""], None, DiscreteMotions]):
     """A node tries its untried actions first, in random order, then follows the upper confidence bound.
 
@@ -48,11 +46,8 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
     Settings: `bojax.planning.settings.SBO` and `BOPOMDP`.
     """
 
-    motions: DiscreteMotions = eqx.field(converter=_with_room)
+    motions: DiscreteMotions = eqx.field(converter=methodcaller("with_room"))
     exploration: Float[Array, ""]
-    discount: Float[Array, ""]
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
     objective: Objective = None
 
     @property
@@ -110,10 +105,6 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal[None], is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
         return DiscreteMemory(memory.paths, write_row(memory.action, child, proposal.index))
-
-    @override
-    def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:
-        return best_by_mean(tree)
 
     @override
     def path_of(self, memory: DiscreteMemory, child: Int[Array, ""]) -> Path:

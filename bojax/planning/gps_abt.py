@@ -160,9 +160,6 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
     min_visits: Float[Array, ""]
     min_radius: Float[Array, ""]
     initial_radius: Float[Array, ""]
-    discount: Float[Array, ""]
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
     max_levels: int = eqx.field(static=True)
     num_rollout_paths: int = eqx.field(static=True)
     heuristic: Literal["rollout", "zero"] = eqx.field(static=True)

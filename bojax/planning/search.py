@@ -12,7 +12,7 @@ from typing_extensions import override
 from bojax.motions.base import Path
 from bojax.numerics.lanes import batched_together
 from bojax.planning.base import M, PathPlanner, Plan
-from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree
+from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree, best_by_mean
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import PathProblem, Root, Simulation
 
@@ -54,9 +54,9 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
     Deviation: Algorithms 2 and 4, as printed, back up only the reward of the rollout.
     """
 
-    discount: eqx.AbstractVar[Float[Array, ""]]
-    iterations: eqx.AbstractVar[int]
-    depth: eqx.AbstractVar[int]
+    discount: Float[Array, ""]
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
     objective: eqx.AbstractVar[Objective]
 
     @property
@@ -96,9 +96,9 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         stored for it, but the values of other nodes must not change.
         """
 
-    @abc.abstractmethod
     def recommend(self, tree: Tree, memory: Memory) -> Int[Array, ""]:
-        """The child of the root whose action is executed."""
+        """The child of the root whose action is executed; by default that of the highest mean return."""
+        return best_by_mean(tree)
 
     @abc.abstractmethod
     def path_of(self, memory: Memory, child: Int[Array, ""]) -> Path:

@@ -22,7 +22,7 @@ class RobotTask(Simulated, ControlTask):
     the state is the state of the robot; a subclass that adds to it overrides `robot` and `moved`.
     """
 
-    substeps: eqx.AbstractVar[int]
+    substeps: int = eqx.field(static=True)
 
     def __check_init__(self):
         """Compile the model and check its actuators, see also `Simulator`.

@@ -1,7 +1,5 @@
 """Jumping with one leg (thesis, p. 107): Gym's Hopper with a goal."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -38,9 +36,7 @@ class Hopper(RobotTask):
     failure_angle: Float[Array, ""]
     failure_height: Float[Array, ""]
     physics: Physics
-    substeps: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     classic_reward: Choice = eqx.field(converter=one_of("gym", "published"))
 
     @property

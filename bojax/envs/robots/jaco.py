@@ -67,9 +67,7 @@ class Jaco(RobotTask):
     physics: Physics
     joints: tuple[int, ...] = eqx.field(static=True)
     targets: Literal["per-run", "per-episode"] = eqx.field(static=True)
-    substeps: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     target: Float[Array, "3"] | None = None
 
     @override

@@ -1,7 +1,5 @@
 """Reaching a point with a planar arm of two links (thesis, p. 107): Gym's Reacher with a goal."""
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,9 +35,7 @@ class Reacher(RobotTask):
     goal_distance: Float[Array, ""]
     target_radius: Float[Array, ""]
     physics: Physics
-    substeps: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     second_action: Choice = eqx.field(converter=one_of("free", "fixed"))
 
     @property
