@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import resource
+import shlex
 import signal
 from collections import Counter
 from pathlib import Path
@@ -41,7 +42,7 @@ CHECKED = (
 
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
 
-from bojax.cli.main import YOUNG_OBJECTS  # noqa: E402
+from bojax.cli.main import YOUNG_OBJECTS, main  # noqa: E402
 
 gc.set_threshold(YOUNG_OBJECTS)
 
@@ -63,6 +64,27 @@ def usual_jax():
     yield
     for flag, value in strict.items():
         jax.config.update(flag, value)
+
+
+@pytest.fixture
+def refusal(capsys):
+    """A function that runs a command which must refuse its input, and returns the message of the error.
+
+    Its line is all that is printed, and the files in the working directory stay as they are.
+    """
+
+    def files() -> list[Path]:
+        return [] if Path.cwd() == Path(__file__).parents[1] else sorted(Path().rglob("*"))
+
+    def run(command: str, code: int = 2) -> str:
+        capsys.readouterr()
+        before = files()
+        assert main(shlex.split(command)) == code, command
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n"), files()) == ("", 1, before) and err.startswith("error: "), err
+        return err.removeprefix("error: ").rstrip("\n")
+
+    return run
 
 
 _UNDRAWN = {"api", "claims", "cli", "engine", "experiments", "films", "problems", "tuning"}

@@ -22,6 +22,7 @@ from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
 from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
 from tests.fields.test_raster_files import write_tif  # noqa: E402
+from tests.transcript import cases  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -164,50 +165,53 @@ def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):
     assert any("All places count alike" in text for text in survey["settings"].values())
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            ["100x100", "--budget", "far"],
-            "--budget: got far; allowed: metres, or a length such as 2km or 800m",
-        ),
-        (["100x100", "--time", "1h"], "--time: needs --speed, in m/s"),
-        (["100x100", "--time", "1h", "--speed", "1", "--budget", "5"], "--time: not with --budget"),
-        (
-            ["100x100", "--time", "1 week", "--speed", "1"],
-            "--time: got 1 week; allowed: a duration such as 40min",
-        ),
-        (["100x100", "--start", "5"], "--start: got 5; allowed: two numbers"),
-        (["100x100", "--start", "-3.2,5"], "--start: got -3.2,5, which is not in the area"),
-        (["100x100", "--start", "500,5"], "--start: got 500,5, which is not in the area"),
-        (
-            ["100x100", "--start", "1,5", "--end", "99,5", "--budget", "50"],
-            "budget: got 50 m, but the shortest way",
-        ),
-        (["100x100", "--below", "0"], "100x100: has no values; allowed with --below: a raster"),
-        (["100x100", "--robots", "5"], "--robots: invalid choice: 5"),
-        (["100x100", "--robots", "two"], "--robots: got two; allowed: an integer"),
-        (
-            ["100x100", "--robots", "3", "--start", "1,1", "--start", "2,2"],
-            "--start: got 2 points; allowed: one, or 3, one for each robot",
-        ),
-        (["100x100", "--goal", "depth"], "--goal: got depth; allowed: map, hotspots, threshold=V or region="),
-        (["100x100", "--goal", "threshold=deep"], "--goal: got threshold=deep; allowed: threshold=V, where"),
-        (["100x100", "--goal", "region=no.kml"], "no.kml: No such file or directory"),
-        (["no.tif"], "no.tif: No such file or directory"),
-        (["100x100", "--prior", "no.csv"], "no.csv: No such file or directory"),
-        (["100x100", "--avoid", "no.kml"], "no.kml: No such file or directory"),
-    ],
-)
-def test_mistakes_are_one_line_and_write_nothing(tmp_path, monkeypatch, capsys, words, message):
+MISTAKES = """\
+100x100 --budget far
+=> --budget: got far; allowed: metres, or a length such as 2km or 800m
+100x100 --time 1h
+=> --time: needs --speed, in m/s
+100x100 --time 1h --speed 1 --budget 5
+=> --time: not with --budget
+100x100 --time '1 week' --speed 1
+=> --time: got 1 week; allowed: a duration such as 40min
+100x100 --start 5
+=> --start: got 5; allowed: two numbers
+100x100 --start -3.2,5
+=> --start: got -3.2,5, which is not in the area
+100x100 --start 500,5
+=> --start: got 500,5, which is not in the area
+100x100 --start 1,5 --end 99,5 --budget 50
+=> budget: got 50 m, but the shortest way
+100x100 --below 0
+=> 100x100: has no values; allowed with --below: a raster
+100x100 --robots 5
+=> --robots: invalid choice: 5
+100x100 --robots two
+=> --robots: got two; allowed: an integer
+100x100 --robots 3 --start 1,1 --start 2,2
+=> --start: got 2 points; allowed: one, or 3, one for each robot
+100x100 --goal depth
+=> --goal: got depth; allowed: map, hotspots, threshold=V or region=
+100x100 --goal threshold=deep
+=> --goal: got threshold=deep; allowed: threshold=V, where
+100x100 --goal region=no.kml
+=> no.kml: No such file or directory
+no.tif
+=> no.tif: No such file or directory
+100x100 --prior no.csv
+=> no.csv: No such file or directory
+100x100 --avoid no.kml
+=> no.kml: No such file or directory
+"""
+
+
+def test_mistakes_are_one_line_and_write_nothing(tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
-    assert main(["survey", *words]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"error: {message}") and error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+    for words, message in cases(MISTAKES):
+        assert refusal(f"survey {words}").startswith(message)
 
 
-def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, capsys):
+def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flat.csv").write_text("x,y,z\n" + "\n".join(f"{i},{i % 7},3" for i in range(30)))
     (tmp_path / "few.csv").write_text("x,y,z\n1,2,3\n")
@@ -215,8 +219,7 @@ def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, capsys):
         ("flat.csv", "all values are 3"),
         ("few.csv", "got 1 values; allowed: at least 10"),
     ):
-        assert main(["survey", "100x100", "--prior", file]) == 2
-        assert f"error: {file}: {message}" in capsys.readouterr().err
+        assert refusal(f"survey 100x100 --prior {file}").startswith(f"{file}: {message}")
 
 
 @pytest.mark.parametrize(("at", "is_noted"), [(20.0, False), (5000.0, True)])

@@ -1,67 +1,43 @@
 """Settings whose arrays do not fit into the memory are refused in one line, before anything is written."""
 
 import jax
-import pytest
 
-from bojax.cli.main import main
 from bojax.config.limits import budget
 from bojax.config.sweep import load_config
 from bojax.engine.build import build
 from bojax.engine.memory import check_memory, largest_array
+from tests.transcript import cases
 
-REFUSED = {
-    "actions of a node": (
-        ["parking", "planner.max_actions=1000000"],
-        "planner.max_actions: got 1000000; an array of one run would take about ",
-    ),
-    "several settings": (
-        ["parking", "planner.iterations=20000", "planner.num_candidates=20000", "planner.max_actions=50000"],
-        "planner.max_actions: got 50000; an array of one run would take about ",
-    ),
-    "cells of a map": (
-        ["mountain-car", "map_episodes=[1]", "map_resolution=1000000"],
-        "map_resolution: got 1000000; an array of one run would take about ",
-    ),
-    "a number beyond 32 bits": (
-        ["parking", "planner={kind: gps-abt, max_levels: 9000000}", "planner.num_rollout_paths=9000000"],
-        "got 9000000",
-    ),
-    "an array of the constructor": (
-        ["parking", "planner.max_actions=10000000000"],
-        "planner.max_actions: got 10,000,000,000 entries or steps, which take about ",
-    ),
-    "a tree": (["parking", "planner.depth=10000000"], "planner.depth: got 10000000; allowed: at most "),
-    "a network": (
-        ["mountain-car", "learner={kind: rnd, depth: 10000000}"],
-        "learner.depth: got 10000000; allowed: at most ",
-    ),
-    "a grid": (
-        ["two-pits", "problem.resolution=1000000"],
-        "problem.resolution: got 1000000; allowed: at most ",
-    ),
-    "a Fourier basis": (
-        ["lunar-lander", "learner={kind: rff-q, features: {kind: fourier-basis, order: 30}}"],
-        "learner.features.order: got 819,628,286,980,801 features, which take about ",
-    ),
-    "the covariance of a Fourier basis": (
-        ["lunar-lander", "learner.features=fourier-basis"],
-        "learner.features: got 1,099,511,627,776 entries of a covariance, which take about ",
-    ),
-    "a covariance": (
-        ["mountain-car", "learner.features.num_features=1000000"],
-        "learner.features: got 1,000,000,000,000 entries of a covariance, which take about ",
-    ),
-}
+REFUSED = """\
+parking planner.max_actions=1000000
+=> planner.max_actions: got 1000000; an array of one run would take about
+parking planner.iterations=20000 planner.num_candidates=20000 planner.max_actions=50000
+=> planner.max_actions: got 50000; an array of one run would take about
+mountain-car map_episodes=[1] map_resolution=1000000
+=> map_resolution: got 1000000; an array of one run would take about
+parking 'planner={kind: gps-abt, max_levels: 9000000}' planner.num_rollout_paths=9000000
+=> got 9000000
+parking planner.max_actions=10000000000
+=> planner.max_actions: got 10,000,000,000 entries or steps, which take about
+parking planner.depth=10000000
+=> planner.depth: got 10000000; allowed: at most
+mountain-car 'learner={kind: rnd, depth: 10000000}'
+=> learner.depth: got 10000000; allowed: at most
+two-pits problem.resolution=1000000
+=> problem.resolution: got 1000000; allowed: at most
+lunar-lander 'learner={kind: rff-q, features: {kind: fourier-basis, order: 30}}'
+=> learner.features.order: got 819,628,286,980,801 features, which take about
+lunar-lander learner.features=fourier-basis
+=> learner.features: got 1,099,511,627,776 entries of a covariance, which take about
+mountain-car learner.features.num_features=1000000
+=> learner.features: got 1,000,000,000,000 entries of a covariance, which take about
+"""
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_too_large_for_the_memory(tmp_path, monkeypatch, capsys, case):
-    words, message = REFUSED[case]
+def test_too_large_for_the_memory(tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
-    assert main(["run", *words, "--runs", "1", "--out", "out"]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and err.startswith("error: ") and message in err
-    assert list(tmp_path.iterdir()) == []
+    for words, message in cases(REFUSED):
+        assert message in refusal(f"run {words} --runs 1 --out out")
 
 
 def test_the_largest_array_is_that_of_the_cell_that_is_asked_for():

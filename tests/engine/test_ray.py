@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 
-from bojax.cli.main import main
 from bojax.config.launching import RayConfig
 from bojax.engine.errors import EngineError
 from bojax.engine.launchers import ray_actors
@@ -191,12 +190,7 @@ def here(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def refused(capsys, *words: str) -> str:
-    """Launch the sweep in vain: the line of the error; nothing is written."""
-    assert main(["sweep", "sweep.yaml", "--launcher", "ray", *words, "--out", "out"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert not Path("out").exists()
-    return line
+LAUNCH = "sweep sweep.yaml --out out --launcher ray"
 
 
 def refuse(*_, **__):
@@ -222,7 +216,7 @@ TOKEN = "if it asks for a token, set RAY_AUTH"
         (True, hang, f"(TimeoutError: no connection within 0 s); {TOKEN}"),
     ],
 )
-def test_no_cluster_at_the_address(here, capsys, monkeypatch, listens, init, message):
+def test_no_cluster_at_the_address(here, refusal, monkeypatch, listens, init, message):
     """Where nothing answers, Ray itself would try for minutes."""
     fake = types.SimpleNamespace(is_initialized=lambda: False, init=init)
     monkeypatch.setattr(ray_actors, "CONNECT_SECONDS", 0.2)
@@ -233,11 +227,11 @@ def test_no_cluster_at_the_address(here, capsys, monkeypatch, listens, init, mes
             unused.listen()
         address = f"127.0.0.1:{unused.getsockname()[1]}"
         (here / "ray.yaml").write_text(f"address: {address}")
-        line = refused(capsys, "--cluster", "ray.yaml")
-    assert line.startswith(f"error: --launcher ray: no Ray cluster at {address} {message}")
+        error = refusal(f"{LAUNCH} --cluster ray.yaml")
+    assert error.startswith(f"--launcher ray: no Ray cluster at {address} {message}")
 
 
-def test_more_cores_than_the_cluster_has(here, capsys, monkeypatch):
+def test_more_cores_than_the_cluster_has(here, refusal, monkeypatch):
     """Refused before anything is written, and Ray is shut down again."""
     calls = []
     cluster = {
@@ -250,15 +244,15 @@ def test_more_cores_than_the_cluster_has(here, capsys, monkeypatch):
     }
     monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**cluster))
     (here / "ray.yaml").write_text("cpus_per_worker: 64")
-    message = "error: --launcher ray: cpus_per_worker: got 64; allowed: at most 2"
-    assert refused(capsys, "--cluster", "ray.yaml") == message
+    message = "--launcher ray: cpus_per_worker: got 64; allowed: at most 2"
+    assert refusal(f"{LAUNCH} --cluster ray.yaml") == message
     assert calls == ["init local", "shutdown"]
 
 
-def test_without_the_extra(here, capsys, monkeypatch):
+def test_without_the_extra(here, refusal, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    message = "error: ray is not installed; install it in a clone of bojax: pip install -e '.[ray]'"
-    assert refused(capsys) == message
+    message = "ray is not installed; install it in a clone of bojax: pip install -e '.[ray]'"
+    assert refusal(LAUNCH) == message
 
 
 def test_actors_of_gpus_share_the_cores():

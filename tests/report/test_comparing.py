@@ -18,6 +18,7 @@ from bojax.report.source import load
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, in_memory, set_column, write_learning, write_results
 from tests.report.test_report import Page
+from tests.transcript import cases
 
 EPISODES = Measure("return", False, "learning", "episode")
 STEPS = Measure("return", False, "learning", "step")
@@ -149,21 +150,12 @@ MISTAKES = (
 )
 
 
-def refused(capsys, words, message, folder):
-    """A command ends in this line and writes nothing into a folder."""
-    before = sorted(folder.rglob("*"))
-    assert main(["compare", *words]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
-    assert sorted(folder.rglob("*")) == before
-
-
 class TestCurveFiles:
-    def test_a_mistake_is_one_line_and_writes_nothing(self, tmp_path, monkeypatch, capsys):
+    def test_a_mistake_is_one_line_and_writes_nothing(self, tmp_path, monkeypatch, refusal):
         monkeypatch.chdir(tmp_path)
         for content, told in MISTAKES:
             (tmp_path / "other.csv").write_text(content)
-            refused(capsys, ["--csv", "other.csv"], f"other.csv: {told}", tmp_path)
+            assert refusal("compare --csv other.csv").startswith(f"other.csv: {told}")
         for content in (b"\xff\xfe\x00label", b"label,run,x,value\na,0,1,\xff\n"):
             (tmp_path / "x.csv").write_bytes(content)
             with pytest.raises(ResultsError, match="cannot be read|unknown column"):
@@ -520,6 +512,56 @@ class TestPage:
         assert "Left out: 1 run with a non-finite value." in page.text and "in 1 run" in page.text
 
 
+WRONG_WORDS = """\
+car car
+=> bojax compare: got car twice; allowed: distinct sources
+nowhere
+=> nowhere: no such results folder
+empty
+=> empty: not a results folder (no manifest.json); allowed: a results folder; curves of other
+car --csv nowhere.csv
+=> nowhere.csv: cannot be read: No such file or directory
+car --csv empty
+=> empty: has no curves; allowed: a folder with *monitor.csv, progress.csv, evaluations.npz or
+car parking
+=> parking: got results of planning, car has results of learning; allowed
+car newer
+=> newer: this version of bojax cannot read the settings of emu-q (episodes: got
+car --metric retrun
+=> car: unknown metric retrun; allowed:
+parking --metric=-rmse
+=> parking: unknown metric rmse; allowed:
+car --metric steps --csv good.csv
+=> good.csv: has curves, but steps has one value per run
+car --x time
+=> --x: got time; allowed: episode, step (see: bojax compare --help)
+parking --x episode
+=> --x: got episode; allowed of planning: step
+car --phase test
+=> car: has no test episodes; allowed: --phase train
+car --last 0
+=> --last: got 0; allowed: >= 1
+car --at 0
+=> --at: got 0; allowed: >= 1
+car --at 21
+=> --at: got 21; emu-q has 20 episodes; allowed: <= 20
+car --at 5 --metric success --csv late.csv
+=> --at: got 5; a run of c has its
+car --at 5 --metric=-steps
+=> --at: got 5; steps has one value per run, at its end
+car --metric ''
+=> --metric: got ""; allowed: a column, such as return or -rmse
+car --metric=-
+=> --metric: got "-"; allowed: a column, such as return or -rmse
+car --reference emuq
+=> --reference: got emuq; allowed: emu-q, epsilon-greedy, rff-q; did
+car --out parking
+=> parking: the folder is not empty; give another --out
+car --out good.csv
+=> good.csv: is not a folder; allowed: a new or empty folder
+"""
+
+
 class TestMistakes:
     @pytest.fixture
     def here(self, tmp_path, monkeypatch):
@@ -533,52 +575,12 @@ class TestMistakes:
         edit_manifest(tmp_path / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
         return tmp_path
 
-    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys):
-        for words, message in (
-            ([], "bojax compare: got none; allowed: results folders or --csv files"),
-            (["car", "car"], "bojax compare: got car twice; allowed: distinct sources"),
-            (["nowhere"], "nowhere: no such results folder"),
-            (
-                ["empty"],
-                "empty: not a results folder (no manifest.json); allowed: a results folder; curves of other",
-            ),
-            (["car", "--csv", "nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
-            (
-                ["car", "--csv", "empty"],
-                "empty: has no curves; allowed: a folder with *monitor.csv, progress.csv, evaluations.npz or",
-            ),
-            (["car", "parking"], "parking: got results of planning, car has results of learning; allowed"),
-            (
-                ["car", "newer"],
-                "newer: this version of bojax cannot read the settings of emu-q (episodes: got",
-            ),
-            (["car", "--metric", "retrun"], "car: unknown metric retrun; allowed: "),
-            (["parking", "--metric=-rmse"], "parking: unknown metric rmse; allowed: "),
-            (
-                ["car", "--metric", "steps", "--csv", "good.csv"],
-                "good.csv: has curves, but steps has one value per run",
-            ),
-            (["car", "--x", "time"], "--x: got time; allowed: episode, step (see: bojax compare --help)"),
-            (["parking", "--x", "episode"], "--x: got episode; allowed of planning: step"),
-            (["car", "--phase", "test"], "car: has no test episodes; allowed: --phase train"),
-            (["car", "--last", "0"], "--last: got 0; allowed: >= 1"),
-            (["car", "--at", "0"], "--at: got 0; allowed: >= 1"),
-            (["car", "--at", "21"], "--at: got 21; emu-q has 20 episodes; allowed: <= 20"),
-            (
-                ["car", "--at", "5", "--metric", "success", "--csv", "late.csv"],
-                "--at: got 5; a run of c has its",
-            ),
-            (["car", "--at", "5", "--metric=-steps"], "--at: got 5; steps has one value per run, at its end"),
-            (["car", "--metric", ""], '--metric: got ""; allowed: a column, such as return or -rmse'),
-            (["car", "--metric=-"], '--metric: got "-"; allowed: a column, such as return or -rmse'),
-            (
-                ["car", "--reference", "emuq"],
-                "--reference: got emuq; allowed: emu-q, epsilon-greedy, rff-q; did",
-            ),
-            (["car", "--out", "parking"], "parking: the folder is not empty; give another --out"),
-            (["car", "--out", "good.csv"], "good.csv: is not a folder; allowed: a new or empty folder"),
-        ):
-            refused(capsys, words, message, here)
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
+        assert refusal("compare").startswith(
+            "bojax compare: got none; allowed: results folders or --csv files"
+        )
+        for words, message in cases(WRONG_WORDS):
+            assert refusal(f"compare {words}").startswith(message)
 
     def test_a_good_command_writes_one_page(self, here, capsys):
         assert main(["compare", "car", "--csv", "good.csv", "--metric=-return", "--out", "out"]) == 0

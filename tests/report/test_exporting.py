@@ -4,7 +4,6 @@ import csv
 import json
 import struct
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +14,7 @@ from bojax.report.exporting.build import export
 from bojax.report.exporting.content import exported
 from bojax.report.source import load
 from tests.report.synthetic import edit_manifest, write_learning, write_results
+from tests.transcript import cases
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +188,26 @@ def test_mlflow_reads_its_database_written_without_a_network(car, points, tmp_pa
         assert run.data.metrics["final/last_return"] == pytest.approx(point.scalars["last_return"])
 
 
+MISTAKES = """\
+car
+=> the following arguments are required: --to
+--to csv
+=> the following arguments are required: DIR
+car --to tensorbord
+=> --to: got tensorbord; allowed: csv, mlflow, tensorboard, wandb; did you mean "tensorboard"?
+nowhere --to csv
+=> nowhere: no such results folder
+full --to csv
+=> full: not a results folder
+newer --to csv
+=> newer: this version of bojax cannot read the settings of emu-q
+car --to csv --out full
+=> full: the folder is not empty; give another --out
+car --to csv --out notes.txt
+=> notes.txt: is not a folder; allowed: a new or
+"""
+
+
 class TestMistakes:
     @pytest.fixture
     def here(self, tmp_path, monkeypatch):
@@ -200,47 +220,26 @@ class TestMistakes:
         (tmp_path / "full" / "notes.txt").write_text("precious")
         return tmp_path
 
-    def refused(self, capsys, words, message, code=2):
-        """A command ends in this line and writes nothing."""
-        before = sorted(Path().rglob("*"))
-        assert main(["export", *words]) == code
-        out, err = capsys.readouterr()
-        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
-        assert sorted(Path().rglob("*")) == before
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
+        for words, message in cases(MISTAKES):
+            assert refusal(f"export {words}").startswith(message)
 
-    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys):
-        for words, message in (
-            (["car"], "the following arguments are required: --to"),
-            (["--to", "csv"], "the following arguments are required: DIR"),
-            (
-                ["car", "--to", "tensorbord"],
-                '--to: got tensorbord; allowed: csv, mlflow, tensorboard, wandb; did you mean "tensorboard"?',
-            ),
-            (["nowhere", "--to", "csv"], "nowhere: no such results folder"),
-            (["full", "--to", "csv"], "full: not a results folder"),
-            (["newer", "--to", "csv"], "newer: this version of bojax cannot read the settings of emu-q"),
-            (["car", "--to", "csv", "--out", "full"], "full: the folder is not empty; give another --out"),
-            (["car", "--to", "csv", "--out", "notes.txt"], "notes.txt: is not a folder; allowed: a new or"),
-        ):
-            self.refused(capsys, words, message)
-
-    def test_a_missing_library_is_named_and_nothing_is_written(self, here, monkeypatch, capsys):
+    def test_a_missing_library_is_named_and_nothing_is_written(self, here, monkeypatch, refusal):
         for target, package in (("tensorboard", "tensorboardX"), ("wandb", "wandb"), ("mlflow", "mlflow")):
             monkeypatch.setitem(sys.modules, package, None)
-            told = f"install it in a clone of bojax: pip install -e '.[{target}]'\n"
-            self.refused(capsys, ["car", "--to", target], f"{package} is not installed; {told}")
+            told = f"install it in a clone of bojax: pip install -e '.[{target}]'"
+            assert refusal(f"export car --to {target}") == f"{package} is not installed; {told}"
 
-    def test_an_error_of_a_library_is_one_line_and_writes_nothing(self, here, monkeypatch, capsys):
+    def test_an_error_of_a_library_is_one_line_and_writes_nothing(self, here, monkeypatch, refusal):
         def refuse(**settings):
             raise ValueError("base_url\n  should be a valid URL")
 
         monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(Settings=refuse))
         reason = "wandb cannot write it (ValueError: base_url should be a valid URL)"
-        told = f"car/export/wandb: {reason}; the results are unchanged; try --to csv\n"
-        self.refused(capsys, ["car", "--to", "wandb"], told, code=1)
+        told = f"car/export/wandb: {reason}; the results are unchanged; try --to csv"
+        assert refusal("export car --to wandb", code=1) == told
 
-    def test_a_good_command_names_its_folder_and_does_not_overwrite_it(self, here, capsys):
+    def test_a_good_command_names_its_folder_and_does_not_overwrite_it(self, here, capsys, refusal):
         assert main(["export", "car", "--to", "csv"]) == 0
         assert capsys.readouterr().out == "car/export/csv\n"
-        assert main(["export", "car", "--to", "csv"]) == 2
-        assert "car/export/csv: the folder is not empty" in capsys.readouterr().err
+        assert "car/export/csv: the folder is not empty" in refusal("export car --to csv")

@@ -12,8 +12,8 @@ from bojax.report.comparing.logs.methods import rows_of
 from bojax.report.comparing.logs.names import label_and_run
 from bojax.report.comparing.logs.opening import opened
 from tests.report.synthetic import write_learning
-from tests.report.test_comparing import refused
 from tests.report.test_report import Page
+from tests.transcript import cases
 
 MONITOR = """\
 #{"t_start": 1700000000.1, "env_id": "Pendulum-v1"}
@@ -259,6 +259,62 @@ class TestPage:
         assert "ppo (r)" in text and "sac (eval/return)" in text
 
 
+MISTAKES = """\
+--csv back
+=> back/progress.csv: rollout/ep_rew_mean: steps go backwards, from 1,000 to 900;
+--csv car
+=> car: has no curves; allowed: a folder with *monitor.csv, progress.csv, evaluat
+--csv text.csv
+=> text.csv: line 3: ppo-seed-0 - eval/return: got "many"; allowed: a number
+--csv infinite.csv
+=> infinite.csv: ppo-seed-0 - eval/return: got inf; allowed: a finite num
+--csv headless
+=> headless/monitor.csv: line 1: allowed: # and JSON with t_start, as Monitor
+--csv lost
+=> lost/monitor.csv: no column l; allowed: r, l, t and others
+--csv short
+=> short/monitor.csv: has no rows; allowed: at least one below the header
+--csv two.csv
+=> two.csv: no column for return; allowed: --column NAME, with one of loss, val
+--csv two.csv --column vlue
+=> two.csv: no column vlue; allowed: loss, value; did you
+car --csv ppo --column x
+=> ppo: no column x; allowed: l, r
+--csv progress.csv --x episode
+=> progress.csv: rollout/ep_rew_mean is logged by step
+--csv progress.csv --column note
+=> progress.csv: line 2: note: got "warm-up"; allowed
+--csv ppo --phase test
+=> ppo: no column for return; allowed: --column NAME, with one
+car --column r
+=> --column: got r; allowed with logs of other libraries alone
+--csv scores.npz
+=> scores.npz: b: got shape (3, 1); allowed: the tasks of a, whose shape is
+--csv nan.npz
+=> nan.npz: a: got nan; allowed: finite numbers
+--csv names.npz
+=> names.npz: tasks: got 1 different names; allowed: 2, one for each column
+--csv words.npz
+=> words.npz: a: got <U1; allowed: numbers
+--csv pickled.npz
+=> pickled.npz: cannot be read without unpickling, or is damaged; allowed:
+--csv pickled.npy
+=> pickled.npy: cannot be read without unpickling, or is damaged; allowed:
+--csv broken.npz
+=> broken.npz: cannot be read without unpickling, or is damaged; allowed:
+--csv nowhere.npz
+=> nowhere.npz: cannot be read: No such file or directory
+--csv good.npz ppo
+=> ppo: has curves, but good.npz has scores; allowed: one of both
+car --csv good.npz
+=> good.npz: has one score per run, but emu-q has a curve; allowed: --me
+--csv x=good.npz
+=> good.npz: has labels of its own; allowed: good.npz without x=
+--csv evals
+=> evals/evaluations.npz: results: got shape (1, 1); allowed: a row for each of 2
+"""
+
+
 class TestMistakes:
     @pytest.fixture
     def here(self, tmp_path, monkeypatch):
@@ -285,103 +341,27 @@ class TestMistakes:
         np.savez(tmp_path / "evals" / "evaluations.npz", timesteps=[1, 2], results=[[1.0]])
         return tmp_path
 
-    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys):
-        for words, message in (
-            (
-                ["--csv", "back"],
-                "back/progress.csv: rollout/ep_rew_mean: steps go backwards, from 1,000 to 900;",
-            ),
-            (
-                ["--csv", "car"],
-                "car: has no curves; allowed: a folder with *monitor.csv, progress.csv, evaluat",
-            ),
-            (
-                ["--csv", "text.csv"],
-                'text.csv: line 3: ppo-seed-0 - eval/return: got "many"; allowed: a number',
-            ),
-            (
-                ["--csv", "infinite.csv"],
-                "infinite.csv: ppo-seed-0 - eval/return: got inf; allowed: a finite num",
-            ),
-            (
-                ["--csv", "headless"],
-                "headless/monitor.csv: line 1: allowed: # and JSON with t_start, as Monitor",
-            ),
-            (["--csv", "lost"], "lost/monitor.csv: no column l; allowed: r, l, t and others"),
-            (["--csv", "short"], "short/monitor.csv: has no rows; allowed: at least one below the header"),
-            (
-                ["--csv", "two.csv"],
-                "two.csv: no column for return; allowed: --column NAME, with one of loss, val",
-            ),
-            (
-                ["--csv", "two.csv", "--column", "vlue"],
-                "two.csv: no column vlue; allowed: loss, value; did you",
-            ),
-            (["car", "--csv", "ppo", "--column", "x"], "ppo: no column x; allowed: l, r"),
-            (
-                ["--csv", "progress.csv", "--x", "episode"],
-                "progress.csv: rollout/ep_rew_mean is logged by step",
-            ),
-            (
-                ["--csv", "progress.csv", "--column", "note"],
-                'progress.csv: line 2: note: got "warm-up"; allowed',
-            ),
-            (
-                ["--csv", "ppo", "--phase", "test"],
-                "ppo: no column for return; allowed: --column NAME, with one",
-            ),
-            (["car", "--column", "r"], "--column: got r; allowed with logs of other libraries alone"),
-            (
-                ["--csv", "scores.npz"],
-                "scores.npz: b: got shape (3, 1); allowed: the tasks of a, whose shape is",
-            ),
-            (["--csv", "nan.npz"], "nan.npz: a: got nan; allowed: finite numbers"),
-            (
-                ["--csv", "names.npz"],
-                "names.npz: tasks: got 1 different names; allowed: 2, one for each column",
-            ),
-            (["--csv", "words.npz"], "words.npz: a: got <U1; allowed: numbers"),
-            (
-                ["--csv", "pickled.npz"],
-                "pickled.npz: cannot be read without unpickling, or is damaged; allowed:",
-            ),
-            (
-                ["--csv", "pickled.npy"],
-                "pickled.npy: cannot be read without unpickling, or is damaged; allowed:",
-            ),
-            (
-                ["--csv", "broken.npz"],
-                "broken.npz: cannot be read without unpickling, or is damaged; allowed:",
-            ),
-            (["--csv", "nowhere.npz"], "nowhere.npz: cannot be read: No such file or directory"),
-            (["--csv", "good.npz", "ppo"], "ppo: has curves, but good.npz has scores; allowed: one of both"),
-            (
-                ["car", "--csv", "good.npz"],
-                "good.npz: has one score per run, but emu-q has a curve; allowed: --me",
-            ),
-            (["--csv", "x=good.npz"], "good.npz: has labels of its own; allowed: good.npz without x="),
-            (
-                ["--csv", "evals"],
-                "evals/evaluations.npz: results: got shape (1, 1); allowed: a row for each of 2",
-            ),
-        ):
-            refused(capsys, words, message, here)
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
+        for words, message in cases(MISTAKES):
+            assert refusal(f"compare {words}").startswith(message)
 
-    def test_an_event_file_without_scalars_or_with_damage_is_refused(self, here, capsys):
+    def test_an_event_file_without_scalars_or_with_damage_is_refused(self, here, refusal):
         proto = pytest.importorskip("tensorboardX.proto.event_pb2")
         write_events(here / "empty" / "events.out.tfevents.1", [proto.Event(file_version="brain.Event:2")])
-        refused(capsys, ["--csv", "empty"], "empty: its event files have no scalars; allowed: a folder", here)
+        message = "empty: its event files have no scalars; allowed: a folder"
+        assert refusal("compare --csv empty").startswith(message)
         path = write_events(here / "bad" / "events.out.tfevents.1", [event(1, "return", 1.0)])
         path.write_bytes(path.read_bytes()[:12] + b"\xff" * 40)
-        refused(capsys, ["--csv", "bad"], "bad/events.out.tfevents.1: is damaged; allowed: an event", here)
+        message = "bad/events.out.tfevents.1: is damaged; allowed: an event"
+        assert refusal("compare --csv bad").startswith(message)
         back = [event(5000, "return", 1.0), event(100, "return", 2.0)]
         write_events(here / "restarted" / "events.out.tfevents.1", back)
         message = (
             "restarted: return: steps go backwards, from 5,000 to 100; allowed: one run, whose steps ascend"
         )
-        refused(capsys, ["--csv", "restarted"], message, here)
+        assert refusal("compare --csv restarted").startswith(message)
 
-    def test_a_missing_package_is_named_with_the_command_that_installs_it(self, here, capsys, monkeypatch):
+    def test_a_missing_package_is_named_with_the_command_that_installs_it(self, here, refusal, monkeypatch):
         from bojax.report.comparing.logs import event_files
 
         write(here / "board" / "events.out.tfevents.1", "")
@@ -389,4 +369,4 @@ class TestMistakes:
         message = (
             "tensorboardX is not installed; install it in a clone of bojax: pip install -e '.[tensorboard]'"
         )
-        refused(capsys, ["--csv", "board"], message, here)
+        assert refusal("compare --csv board").startswith(message)

@@ -221,23 +221,18 @@ def test_the_intervals_hide_no_dots(tmp_path):
         assert heights.max() + 0.1 < bar < row + 0.6
 
 
-def test_what_is_no_results_folder_is_told_in_a_line(tmp_path, capsys):
-    def refusal(name):
-        assert main(["report", str(tmp_path / name)]) == 2
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1 and len(error) < 400
-        return error
-
+def test_what_is_no_results_folder_is_told_in_a_line(tmp_path, refusal):
     for name in ("nowhere", "x" * 5000, "a" * 100 + "/" + "b" * 300):
-        assert "no such results folder" in refusal(name)
+        error = refusal(f"report {tmp_path}/{name}")
+        assert "no such results folder" in error and len(error) < 400
     (tmp_path / "file").write_text("")
-    assert refusal("file") == f"error: {tmp_path}/file: a file, not a results folder\n"
+    assert refusal(f"report {tmp_path}/file") == f"{tmp_path}/file: a file, not a results folder"
     for above, below in (("one", "1"), ("two", "parking/1")):
         folder = tmp_path / above / below
         folder.parent.mkdir(parents=True)
         write_results(folder, runs=2, recorded=0)
-        told = f"error: {tmp_path}/{above}: not a results folder; the newest below it is {folder}\n"
-        assert refusal(above) == told
+        told = f"{tmp_path}/{above}: not a results folder; the newest below it is {folder}"
+        assert refusal(f"report {tmp_path}/{above}") == told
 
 
 @pytest.mark.parametrize(("patience", "lines"), [(0.0, 1), (1e9, 0)])

@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import re
-import shlex
 import shutil
 import signal
 import subprocess
@@ -254,13 +253,11 @@ def test_the_report_is_built_again_from_the_files(undisturbed, capsys):
     assert (undisturbed / "report.html").read_bytes() == before
 
 
-def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
+def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, refusal):
     content = json.loads((undisturbed / "tuning.json").read_text())
     for name, change in (("points", "many"), ("plan", {}), ("order", [])):
         (tmp_path / "tuning.json").write_text(json.dumps({**content, name: change}))
-        assert main(["report", str(tmp_path)]) == 2
-        err = capsys.readouterr().err
-        assert err.startswith(f"error: {tmp_path}/tuning.json: ") and err.count("\n") == 1
+        assert refusal(f"report {tmp_path}").startswith(f"{tmp_path}/tuning.json: ")
 
 
 MISTAKES = """\
@@ -357,15 +354,13 @@ def test_choices_of_parts_and_texts_are_part_of_the_search(tmp_path, capsys):
     assert set(finished["learner"].to_pylist()) <= {"exploration-values", "additive"}
 
 
-def test_mistakes(tmp_path, monkeypatch, capsys):
+def test_mistakes(tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "swept.yaml").write_text("base: chain\naxes: {learner.kappa: [0.1, 1]}\n")
     for words, message in cases(MISTAKES):
-        assert main(["tune", *shlex.split(words)]) == 2
-        err = capsys.readouterr().err
-        assert err.startswith(f"error: {message}") and err.count("\n") == 1, err
-        assert not words.endswith("return") or 'did you mean "last_return"?' in err
-        assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
+        error = refusal(f"tune {words}")
+        assert error.startswith(message)
+        assert not words.endswith("return") or 'did you mean "last_return"?' in error
 
 
 def test_the_metric_is_a_return_and_an_integer_may_fix_a_shape(monkeypatch):
