@@ -67,6 +67,13 @@ def usual_jax():
 
 
 @pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def refusal(capsys):
     """A function that runs a command which must refuse its input, and returns the message of the error.
 

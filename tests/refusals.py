@@ -8,14 +8,21 @@ import pytest
 from jaxtyping import config
 
 
+@contextlib.contextmanager
+def one_line(error: type[Exception], match: str | None = None) -> Iterator[None]:
+    """The context ends in an error of one line, which matches the pattern."""
+    with pytest.raises(error, match=match) as caught:
+        yield
+    assert "\n" not in str(caught.value), caught.value
+
+
 def assert_refused(
     calls: Iterable[tuple[Callable[[], Any], str]], error: type[Exception] = ValueError
 ) -> None:
     """Each call raises an error of one line, which matches the pattern beside it."""
     for call, message in calls:
-        with pytest.raises(error, match=message) as caught:
+        with one_line(error, message):
             call()
-        assert "\n" not in str(caught.value), message
 
 
 @contextlib.contextmanager

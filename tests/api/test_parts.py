@@ -16,10 +16,9 @@ class Slope(Field):
         return x[0]
 
 
-def test_every_part_is_built_with_its_defaults(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_every_part_is_built_with_its_defaults(here):
     for name, text in FILES.items():
-        (tmp_path / name).write_text(text)
+        (here / name).write_text(text)
     for role in roles():
         for kind, schema in kinds(role).items():
             part = bojax.part(kind, role=role, **REQUIRED.get(kind, {}))

@@ -12,6 +12,7 @@ from bojax.config.sweep import load_published
 from bojax.config.sweep_file import published_name
 from bojax.report.build import build_report
 from bojax.results.store import ResultsError
+from tests.refusals import one_line
 from tests.report.synthetic import edit_manifest, write_results
 
 
@@ -137,9 +138,8 @@ def test_other_results_are_refused(tmp_path):
         ({"name": "fig-4.6", "is_published": False}, "got results of fig-4.6; allowed"),
     ):
         edit_manifest(folder, lambda manifest, changes=changes: manifest.update(changes))
-        with pytest.raises(ResultsError, match=error) as raised:
+        with one_line(ResultsError, error):
             collected([folder])
-        assert "\n" not in str(raised.value)
     edit_manifest(folder, lambda manifest: manifest.update(name="study-ties", is_published=True))
     with pytest.raises(
         ResultsError, match="got results of study-ties; allowed: also those of a sweep of the"
@@ -147,8 +147,7 @@ def test_other_results_are_refused(tmp_path):
         joined_reproduction([tmp_path / "p.md"], [folder], ["fig-4.6"])
 
 
-def test_misuse_is_one_line(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_misuse_is_one_line(here, refusal):
     for words, error in (
         ("--page nowhere", "no such results folder"),
         ("--page . --out p.md", "manifest.json"),

@@ -12,9 +12,8 @@ from tests.transcript import cases
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return write_results(tmp_path / "made-up")
+def folder(here):
+    return write_results(here / "made-up")
 
 
 def test_it_prints_the_config_of_the_best_point(folder, capsys):
@@ -69,16 +68,15 @@ def test_a_module_that_the_folder_names_is_announced(folder, capsys):
     assert error.startswith(f'error: {place}: got "their_planner:Mine"; importing their_planner failed')
 
 
-def test_fresh_runs_confirm_the_score(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    made_up = write_learning(tmp_path / "made-up", runs=3, episodes=2)
+def test_fresh_runs_confirm_the_score(here, capfd):
+    made_up = write_learning(here / "made-up", runs=3, episodes=2)
     manifest = made_up / "manifest.json"
     chain = '"env": {"kind": "chain", "length": 3, "max_length": 3, "max_steps": 30}'
     text = manifest.read_text().replace('"env": {"kind": "mountain-car"}', chain)
     manifest.write_text(text.replace('"learner": {"kind": "emu-q"}', '"learner": {"kind": "additive"}'))
     assert main(["best", "made-up", "--confirm", "4"]) == 0
     out = capfd.readouterr().out.splitlines()
-    fresh = load(next(tmp_path.glob("results/car-best/*")))
+    fresh = load(next(here.glob("results/car-best/*")))
     assert fresh.runs["run"].tolist() == [0, 1, 2, 3] and fresh.manifest.seed == 1
     assert out[-1].startswith("mean steps to goal, or to the end of the longest run: ")
     assert out[-1].endswith("4 runs")

@@ -14,9 +14,8 @@ FOLDER = Path("results/parking/20260101-000000")
 
 
 @pytest.fixture
-def calls(tmp_path, monkeypatch):
+def calls(here, monkeypatch):
     """Calls of the engine and of the report, which do nothing but return what `codes` says."""
-    monkeypatch.chdir(tmp_path)
     made: list[tuple] = []
     codes: dict[str, int] = {}
 
@@ -78,22 +77,20 @@ def test_the_exit_code_is_that_of_the_engine(calls):
     assert [call[0] for call in made] == ["run", "run"]
 
 
-def test_an_existing_folder_is_not_touched(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("precious")
+def test_an_existing_folder_is_not_touched(here, refusal):
+    (here / "mine").mkdir()
+    (here / "mine" / "notes.txt").write_text("precious")
     error = refusal("run parking --out mine")
     assert error.startswith("mine: ") and "is not empty" in error
-    assert (tmp_path / "mine" / "notes.txt").read_text() == "precious"
+    assert (here / "mine" / "notes.txt").read_text() == "precious"
 
 
-def test_a_name_that_is_too_long_for_a_folder(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_name_that_is_too_long_for_a_folder(here, capsys):
     long = "x" * 300
     for resume, told in (([], []), (["--resume"], [f"note: nothing to resume; starting anew: {long}"])):
         assert main(["run", "chain", "episodes=1", "--runs", "1", "--out", long, *resume]) == 2
         *notes, error = capsys.readouterr().err.splitlines()
-        assert notes == told and "File name too long" in error and not list(tmp_path.iterdir())
+        assert notes == told and "File name too long" in error and not list(here.iterdir())
 
 
 def test_a_part_of_the_users_own_is_resolved_before_the_engine_sees_it(calls, tmp_path):
@@ -119,13 +116,12 @@ def test_report_takes_folders(calls, capsys):
     assert capsys.readouterr().out == "a/report.html\nb/report.html\n"
 
 
-def test_benchmarks_are_modules_with_a_main(tmp_path, monkeypatch, capsys, refusal):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("bojax.cli.bench.shipped", lambda folder: tmp_path / folder)
+def test_benchmarks_are_modules_with_a_main(here, monkeypatch, capsys, refusal):
+    monkeypatch.setattr("bojax.cli.bench.shipped", lambda folder: here / folder)
     assert refusal("bench").startswith("no benchmarks found; run this command in a clone of ")
-    (tmp_path / "benchmarks").mkdir()
+    (here / "benchmarks").mkdir()
     for name, code in (("one", 0), ("two_words", 3)):
-        path = tmp_path / "benchmarks" / f"bench_{name}.py"
+        path = here / "benchmarks" / f"bench_{name}.py"
         path.write_text(f"def main(argv):\n    print('{name}', argv)\n    return {code}\n")
     for words, code, output in (
         ("bench one", 0, "one []\n"),
@@ -142,13 +138,12 @@ def test_benchmarks_are_modules_with_a_main(tmp_path, monkeypatch, capsys, refus
 class TestDoctor:
     """Every check ends in a line."""
 
-    def test_this_machine(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.chdir(tmp_path)
+    def test_this_machine(self, here, capsys):
         assert main(["doctor"]) == 0
         out = capsys.readouterr().out
         assert "jaxlib" in out and jax.devices()[0].platform in out and "float64" in out
         assert out.endswith("all checks passed\n")
-        assert list(tmp_path.iterdir()) == []
+        assert list(here.iterdir()) == []
 
     def test_a_failure_is_a_line_and_an_exit_code(self, monkeypatch, capsys):
         def fail():
@@ -175,8 +170,7 @@ class TestDoctor:
             ("note", f"bojax export --to wandb: wandb {advice} '.[wandb]'"),
         ]
 
-    def test_a_folder_that_cannot_be_written(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
+    def test_a_folder_that_cannot_be_written(self, here, monkeypatch):
 
         def refuse(**_):
             raise PermissionError(13, "Permission denied")

@@ -76,8 +76,7 @@ def test_pieces_of_other_choices_are_not_mixed(quick, tmp_path, refusal):
     assert "leg: 2.5 -> 5.0" in refusal(f"reproduce surveys --runs 1 --out {out} --resume")
 
 
-def test_mistakes_are_one_line(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_mistakes_are_one_line(here, refusal):
     for words, message in (
         ("surveys fig-4.6", "surveys: not allowed with other IDs"),
         ("surveys --seed 3", "--seed: not allowed with surveys"),

@@ -92,12 +92,11 @@ def test_names_of_reproduce_are_listed_with_their_sweeps(listed):
         assert len(sweeps) >= 1 and thesis.sweeps_of(name) == sweeps
 
 
-def test_a_broken_file_does_not_hide_the_others(listed, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "configs").mkdir()
-    (tmp_path / "configs" / "mine.yaml").write_text("a: [")
+def test_a_broken_file_does_not_hide_the_others(listed, here):
+    (here / "configs").mkdir()
+    (here / "configs" / "mine.yaml").write_text("a: [")
     out = listed("configs")
-    (tmp_path / "sweeps").mkdir()
-    (tmp_path / "sweeps" / "fig-4.6.yaml").write_text("a: [")
+    (here / "sweeps").mkdir()
+    (here / "sweeps" / "fig-4.6.yaml").write_text("a: [")
     assert "fig-4.6" in thesis.sweeps_of("chapter4"), "starting it reports the error"
     assert "(invalid: configs/mine.yaml" in out and "Robot parking" in out

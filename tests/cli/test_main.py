@@ -22,13 +22,6 @@ from tests.transcript import cases
 HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """An empty working directory."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 MISTAKES = """\
 swep
 => unknown command swep; allowed: bench, best, compare, doctor, export, list, render, report, reproduce, run,

@@ -62,17 +62,15 @@ def test_ids(refusal):
         assert refusal(f"reproduce '{name}'").startswith(f"bojax reproduce: got {name}; allowed: ")
 
 
-def test_a_folder_with_content_is_refused(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_a_folder_with_content_is_refused(here, refusal):
     for file in ("manifest.json", "reproduction.html", "notes.txt"):
-        (tmp_path / file).mkdir()
-        (tmp_path / file / file).write_text("")
+        (here / file).mkdir()
+        (here / file / file).write_text("")
         message = f"{file}: the folder is not empty; give another --out, or --resume a reproduction"
         assert refusal(f"reproduce fig-4.6 --out {file}") == message
 
 
-def test_settings_and_a_folder_to_resume_that_is_not_there(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_settings_and_a_folder_to_resume_that_is_not_there(here, refusal):
     assert refusal("reproduce fig-4.6 planner.iterations=3").endswith("bojax sweep changes settings")
     assert "no reproduction to resume" in refusal("reproduce fig-4.6 --resume")
 
@@ -99,10 +97,9 @@ def one_process():
 
 
 @pytest.fixture
-def two(tmp_path, monkeypatch):
+def two(here):
     """Two small sweeps of a figure in the working directory."""
-    monkeypatch.chdir(tmp_path)
-    return _with_two_sweeps(tmp_path)
+    return _with_two_sweeps(here)
 
 
 @pytest.fixture(scope="module")
@@ -172,11 +169,10 @@ def test_the_script_for_slurm_names_the_folders_of_the_results(two, capsys):
     assert "out/fig-9.1a" in capsys.readouterr().out
 
 
-def test_a_missing_report_is_an_error(reproduced, tmp_path, monkeypatch, capfd):
-    shutil.copytree(reproduced[0], tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "out" / "fig-9.1a" / "report.html").unlink()
-    (tmp_path / "out" / "fig-9.1a" / "report.html").mkdir()
+def test_a_missing_report_is_an_error(reproduced, here, capfd):
+    shutil.copytree(reproduced[0], here, dirs_exist_ok=True)
+    (here / "out" / "fig-9.1a" / "report.html").unlink()
+    (here / "out" / "fig-9.1a" / "report.html").mkdir()
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 1
     error = capfd.readouterr().err
     assert "error: the report of out/fig-9.1a cannot be written" in error and "bojax report out/" in error

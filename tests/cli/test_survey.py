@@ -205,16 +205,14 @@ no.tif
 """
 
 
-def test_mistakes_are_one_line_and_write_nothing(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_mistakes_are_one_line_and_write_nothing(here, refusal):
     for words, message in cases(MISTAKES):
         assert refusal(f"survey {words}").startswith(message)
 
 
-def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "flat.csv").write_text("x,y,z\n" + "\n".join(f"{i},{i % 7},3" for i in range(30)))
-    (tmp_path / "few.csv").write_text("x,y,z\n1,2,3\n")
+def test_an_earlier_survey_must_vary(here, refusal):
+    (here / "flat.csv").write_text("x,y,z\n" + "\n".join(f"{i},{i % 7},3" for i in range(30)))
+    (here / "few.csv").write_text("x,y,z\n1,2,3\n")
     for file, message in (
         ("flat.csv", "all values are 3"),
         ("few.csv", "got 1 values; allowed: at least 10"),
@@ -223,10 +221,9 @@ def test_an_earlier_survey_must_vary(tmp_path, monkeypatch, refusal):
 
 
 @pytest.mark.parametrize(("at", "is_noted"), [(20.0, False), (5000.0, True)])
-def test_an_earlier_survey_elsewhere_is_named(tmp_path, monkeypatch, capsys, at, is_noted):
-    monkeypatch.chdir(tmp_path)
+def test_an_earlier_survey_elsewhere_is_named(here, monkeypatch, capsys, at, is_noted):
     monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
-    (tmp_path / "old.csv").write_text("x,y,z\n" + "\n".join(f"{at + i},{i % 7},{i % 5}" for i in range(30)))
+    (here / "old.csv").write_text("x,y,z\n" + "\n".join(f"{at + i},{i % 7},{i % 5}" for i in range(30)))
     words = ["100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower", "--out", "out"]
     assert main(["survey", *words]) == 0
     note = "note: old.csv: no value lies in the area: the model is learned from a field elsewhere."

@@ -9,12 +9,11 @@ Write = Callable[[str, str], Path]
 
 
 @pytest.fixture
-def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Write:
+def write(here: Path) -> Write:
     """Writes a file below an empty working directory."""
-    monkeypatch.chdir(tmp_path)
 
     def write_file(name: str, text: str) -> Path:
-        path = tmp_path / name
+        path = here / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
         return path

@@ -38,10 +38,9 @@ def test_more_memory_allows_more():
     small.check(10, "x.yaml: things")
 
 
-def test_integers_of_all_schemas_have_a_limit(tmp_path, monkeypatch, write):
-    monkeypatch.chdir(tmp_path)
+def test_integers_of_all_schemas_have_a_limit(here, write):
     for name, text in FILES.items():
-        (tmp_path / name).write_text(text)
+        (here / name).write_text(text)
     settings = set()
     for seed in range(60):
         experiment = drawn_experiment(random.Random(seed))

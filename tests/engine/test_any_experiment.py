@@ -48,13 +48,12 @@ def write_drawn(seed: int, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("seed", by_tier(range(NUMBER), normal=(2,)))
-def test_a_drawn_experiment(usual_jax, tmp_path, monkeypatch, capfd, seed):
-    monkeypatch.chdir(tmp_path)
-    path = write_drawn(seed, tmp_path)
+def test_a_drawn_experiment(usual_jax, here, capfd, seed):
+    path = write_drawn(seed, here)
     code = main(["run", str(path), "--runs", "2", "--out", "out"])
     error = capfd.readouterr().err
     assert code == 0, f"{error}\n{path.read_text()}"
-    assert not faults(tmp_path / "out"), path.read_text()
+    assert not faults(here / "out"), path.read_text()
 
 
 def faults(folder: Path) -> list[str]:

@@ -29,11 +29,10 @@ CHAINS = "{base: chain, axes: {episodes: [2], env.max_length: [4, 5], env.length
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
+def cache(here):
     """An empty cache, and the file of the sweep."""
-    (tmp_path / "chains.yaml").write_text(CHAINS)
-    monkeypatch.chdir(tmp_path)
-    with caching_in(tmp_path / "cache") as programs:
+    (here / "chains.yaml").write_text(CHAINS)
+    with caching_in(here / "cache") as programs:
         yield programs
 
 

@@ -36,8 +36,7 @@ def test_refused():
         assert message in str(raised.value)
 
 
-def test_nothing_is_written(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_nothing_is_written(here, refusal):
     error = refusal("run mountain-car learner=additive --out out")
     assert "mountain-car.yaml: experiment: observation_space: " in error
 

@@ -34,8 +34,7 @@ mountain-car learner.features.num_features=1000000
 """
 
 
-def test_too_large_for_the_memory(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
+def test_too_large_for_the_memory(here, refusal):
     for words, message in cases(REFUSED):
         assert message in refusal(f"run {words} --runs 1 --out out")
 

@@ -414,12 +414,11 @@ def test_entries_that_are_not_used_are_deleted(cache):
 
 
 @pytest.mark.parametrize("folder", [None, "gs://bucket/cache"])
-def test_without_a_folder_nothing_is_cached(folder, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
+def test_without_a_folder_nothing_is_cached(folder, here):
     jax.config.update("jax_compilation_cache_dir", folder)
     group = group_of()
     assert program_cache.key_of(group, DEVICE, 3) is None
-    assert program_cache.load(None) is None and not list(tmp_path.iterdir())
+    assert program_cache.load(None) is None and not list(here.iterdir())
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing_else(cache):

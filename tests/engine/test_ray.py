@@ -182,12 +182,11 @@ def test_a_worker_that_cannot_run_tells_why(monkeypatch):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
+def here(here, monkeypatch) -> Path:
     """A working directory with a sweep, and what nobody has set."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    (tmp_path / "sweep.yaml").write_text(SWEEP)
-    return tmp_path
+    (here / "sweep.yaml").write_text(SWEEP)
+    return here
 
 
 LAUNCH = "sweep sweep.yaml --out out --launcher ray"

@@ -455,8 +455,7 @@ def test_deleting_a_bad_chunk_mends_it(interrupted, undisturbed):
     resumes(interrupted, undisturbed)
 
 
-def test_newest_unfinished_folder_is_taken(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_newest_unfinished_folder_is_taken(here, capsys):
     root = Path("results/toy")
     assert run_sweep_here(None, resume=True) == 2
     assert "no unfinished sweep" in one_error(capsys)

@@ -25,6 +25,7 @@ from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import NEEDS_CPU, contents, one_error, run_toy, start_toy
+from tests.refusals import one_line
 from tests.tiers import by_tier
 from tests.toy import Toy, toy_sweep
 
@@ -486,8 +487,7 @@ def test_several_sweeps_on_different_devices_are_refused(tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
-def test_finished_sweeps_among_those_to_resume_are_left_out(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_finished_sweeps_among_those_to_resume_are_left_out(here, monkeypatch, capsys):
     sweeps = [toy_sweep({"scale": 1.0}, name="first"), toy_sweep({"scale": 3.0}, name="second")]
     requests = [Request(sweep, None) for sweep in sweeps]
     with monkeypatch.context() as patch:
@@ -570,9 +570,8 @@ def test_an_experiment_that_does_not_end(tmp_path, capsys, monkeypatch):
 def test_truncated_results(folder, tmp_path):
     whole = (folder / "runs.parquet").read_bytes()
     (tmp_path / "runs.parquet").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ResultsError, match="was it truncated") as error:
+    with one_line(ResultsError, "was it truncated"):
         read_table(tmp_path / "runs.parquet")
-    assert "\n" not in str(error.value)
 
 
 def test_finished_sweep_resumed(folder, capsys):

@@ -128,9 +128,8 @@ def test_a_full_disk_is_told_when_the_next_rows_are_written(tmp_path, monkeypatc
 
 
 @pytest.fixture
-def results(tmp_path, monkeypatch) -> Path:
+def results(here) -> Path:
     """Learners of runs 0 to 3 of point 0, from two chunks, of which one was stopped and resumed."""
-    monkeypatch.chdir(tmp_path)
     folder = Path("results/hill").absolute()
     first, second = stopped(folder), opened(folder, "chunk-b")
     for files, runs in ((first, [0]), (second, [3, 2])):

@@ -169,10 +169,9 @@ def test_a_line_break_does_not_get_into_the_script(name, folder):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "sweep.yaml").write_text(SWEEP)
-    return tmp_path
+def here(here) -> Path:
+    (here / "sweep.yaml").write_text(SWEEP)
+    return here
 
 
 @pytest.mark.parametrize(("command", "folder"), [("sweep", "out"), ("tune", "out/rounds/000")])

@@ -6,8 +6,7 @@ from tests.parts import FILES
 
 
 @pytest.fixture(autouse=True)
-def data_files(tmp_path, monkeypatch):
+def data_files(here):
     """Write them below an empty working directory."""
-    monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
-        (tmp_path / name).write_text(text)
+        (here / name).write_text(text)

@@ -151,15 +151,14 @@ MISTAKES = (
 
 
 class TestCurveFiles:
-    def test_a_mistake_is_one_line_and_writes_nothing(self, tmp_path, monkeypatch, refusal):
-        monkeypatch.chdir(tmp_path)
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
         for content, told in MISTAKES:
-            (tmp_path / "other.csv").write_text(content)
+            (here / "other.csv").write_text(content)
             assert refusal("compare --csv other.csv").startswith(f"other.csv: {told}")
         for content in (b"\xff\xfe\x00label", b"label,run,x,value\na,0,1,\xff\n"):
-            (tmp_path / "x.csv").write_bytes(content)
+            (here / "x.csv").write_bytes(content)
             with pytest.raises(ResultsError, match="cannot be read|unknown column"):
-                read_curves(tmp_path / "x.csv")
+                read_curves(here / "x.csv")
 
     def test_a_single_method_has_scores_and_no_comparison(self, tmp_path):
         (tmp_path / "x.csv").write_text("label,run,x,value\na,0,1,0.5\na,1,1,2.5\n")
@@ -564,16 +563,15 @@ car --out good.csv
 
 class TestMistakes:
     @pytest.fixture
-    def here(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        write_learning(tmp_path / "car", runs=3, tests=0)
-        write_results(tmp_path / "parking", runs=4, recorded=0)
-        (tmp_path / "good.csv").write_text(GOOD)
-        (tmp_path / "late.csv").write_text("label,run,x,value\nc,0,8,1\nc,0,9,1\n")
-        (tmp_path / "empty").mkdir()
-        write_learning(tmp_path / "newer", runs=3)
-        edit_manifest(tmp_path / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
-        return tmp_path
+    def here(self, here):
+        write_learning(here / "car", runs=3, tests=0)
+        write_results(here / "parking", runs=4, recorded=0)
+        (here / "good.csv").write_text(GOOD)
+        (here / "late.csv").write_text("label,run,x,value\nc,0,8,1\nc,0,9,1\n")
+        (here / "empty").mkdir()
+        write_learning(here / "newer", runs=3)
+        edit_manifest(here / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
+        return here
 
     def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
         assert refusal("compare").startswith(

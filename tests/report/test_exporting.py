@@ -210,15 +210,14 @@ car --to csv --out notes.txt
 
 class TestMistakes:
     @pytest.fixture
-    def here(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        write_learning(tmp_path / "car", runs=2, episodes=2, recorded=1)
-        write_learning(tmp_path / "newer", runs=2, episodes=2, recorded=1)
-        edit_manifest(tmp_path / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
-        (tmp_path / "notes.txt").write_text("precious")
-        (tmp_path / "full").mkdir()
-        (tmp_path / "full" / "notes.txt").write_text("precious")
-        return tmp_path
+    def here(self, here):
+        write_learning(here / "car", runs=2, episodes=2, recorded=1)
+        write_learning(here / "newer", runs=2, episodes=2, recorded=1)
+        edit_manifest(here / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
+        (here / "notes.txt").write_text("precious")
+        (here / "full").mkdir()
+        (here / "full" / "notes.txt").write_text("precious")
+        return here
 
     def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
         for words, message in cases(MISTAKES):

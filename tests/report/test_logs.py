@@ -158,11 +158,10 @@ class TestStableBaselines3:
         assert curves(tmp_path / "a")["a"][0][0] == [200, 400, 580]
         assert curves(tmp_path / "a", phase="test") == {"a": {0: ([7], [2])}}
 
-    def test_a_name_makes_all_runs_of_a_path_one_method(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
+    def test_a_name_makes_all_runs_of_a_path_one_method(self, here):
         for name in ("glad-sky-12", "bold-sea-3"):
-            write(tmp_path / "logs" / name / "monitor.csv", MONITOR)
-        assert [len(runs) for runs in curves(tmp_path / "logs").values()] == [1, 1]
+            write(here / "logs" / name / "monitor.csv", MONITOR)
+        assert [len(runs) for runs in curves(here / "logs").values()] == [1, 1]
         assert [*curves(Path("mine=logs"))["mine"]] == [0, 1]
 
 
@@ -246,14 +245,13 @@ class TestScores:
 
 
 class TestPage:
-    def test_logs_stand_beside_results_by_step(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        folder = write_learning(tmp_path / "car", runs=3)
+    def test_logs_stand_beside_results_by_step(self, here):
+        folder = write_learning(here / "car", runs=3)
         for run in range(3):
             rows = [(-float(100 - 10 * n - run), 20, float(n)) for n in range(9)]
-            write(tmp_path / "logs" / f"ppo_{run}" / "monitor.csv", monitor(5.0, rows))
-        export = write(tmp_path / "export.csv", WANDB.replace("ppo", "sac"))
-        page = compare([folder], [tmp_path / "logs", export], tmp_path / "out")
+            write(here / "logs" / f"ppo_{run}" / "monitor.csv", monitor(5.0, rows))
+        export = write(here / "export.csv", WANDB.replace("ppo", "sac"))
+        page = compare([folder], [here / "logs", export], here / "out")
         text = Page(page.read_text(encoding="utf-8")).text
         assert "ppo" in text and "sac" in text and "By environment step" in text
         assert "ppo (r)" in text and "sac (eval/return)" in text
@@ -317,29 +315,28 @@ car --csv good.npz
 
 class TestMistakes:
     @pytest.fixture
-    def here(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        write_learning(tmp_path / "car", runs=3, tests=0)
-        write(tmp_path / "ppo" / "monitor.csv", MONITOR)
-        write(tmp_path / "progress.csv", PROGRESS)
-        write(tmp_path / "back" / "progress.csv", PROGRESS.replace("2000,,", "900,,"))
-        write(tmp_path / "text.csv", WANDB.replace("20.1", "many"))
-        write(tmp_path / "infinite.csv", WANDB.replace("20.1", "Infinity"))
-        write(tmp_path / "headless" / "monitor.csv", MONITOR.replace('"t_start"', '"start"'))
-        write(tmp_path / "lost" / "monitor.csv", MONITOR.replace("r,l,t", "r,length,t"))
-        write(tmp_path / "short" / "monitor.csv", "\n".join(MONITOR.split("\n")[:2]))
-        write(tmp_path / "two.csv", "Step,a - loss,a - value\n1,2,3\n")
-        np.savez(tmp_path / "scores.npz", a=np.zeros((3, 2)), b=np.zeros((3, 1)))
-        np.savez(tmp_path / "nan.npz", a=np.array([[1.0, np.nan]]))
-        np.savez(tmp_path / "names.npz", a=np.zeros((3, 2)), tasks=["x"])
-        np.savez(tmp_path / "words.npz", a=np.array(["x"]))
-        np.savez(tmp_path / "good.npz", a=np.zeros(3), b=np.ones(3))
-        np.savez(tmp_path / "pickled.npz", a=np.array([{}], dtype=object))
-        np.save(tmp_path / "pickled.npy", np.array({"a": np.zeros((3, 2))}, dtype=object))
-        write(tmp_path / "broken.npz", "no archive")
-        (tmp_path / "evals").mkdir()
-        np.savez(tmp_path / "evals" / "evaluations.npz", timesteps=[1, 2], results=[[1.0]])
-        return tmp_path
+    def here(self, here):
+        write_learning(here / "car", runs=3, tests=0)
+        write(here / "ppo" / "monitor.csv", MONITOR)
+        write(here / "progress.csv", PROGRESS)
+        write(here / "back" / "progress.csv", PROGRESS.replace("2000,,", "900,,"))
+        write(here / "text.csv", WANDB.replace("20.1", "many"))
+        write(here / "infinite.csv", WANDB.replace("20.1", "Infinity"))
+        write(here / "headless" / "monitor.csv", MONITOR.replace('"t_start"', '"start"'))
+        write(here / "lost" / "monitor.csv", MONITOR.replace("r,l,t", "r,length,t"))
+        write(here / "short" / "monitor.csv", "\n".join(MONITOR.split("\n")[:2]))
+        write(here / "two.csv", "Step,a - loss,a - value\n1,2,3\n")
+        np.savez(here / "scores.npz", a=np.zeros((3, 2)), b=np.zeros((3, 1)))
+        np.savez(here / "nan.npz", a=np.array([[1.0, np.nan]]))
+        np.savez(here / "names.npz", a=np.zeros((3, 2)), tasks=["x"])
+        np.savez(here / "words.npz", a=np.array(["x"]))
+        np.savez(here / "good.npz", a=np.zeros(3), b=np.ones(3))
+        np.savez(here / "pickled.npz", a=np.array([{}], dtype=object))
+        np.save(here / "pickled.npy", np.array({"a": np.zeros((3, 2))}, dtype=object))
+        write(here / "broken.npz", "no archive")
+        (here / "evals").mkdir()
+        np.savez(here / "evals" / "evaluations.npz", timesteps=[1, 2], results=[[1.0]])
+        return here
 
     def test_a_mistake_is_one_line_and_writes_nothing(self, here, refusal):
         for words, message in cases(MISTAKES):

@@ -47,11 +47,8 @@ COMMANDS = ("report", "compare", "best", "export --to csv")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_results_that_another_version_wrote_are_read_and_a_line_says_so(
-    tmp_path, monkeypatch, capsys, command
-):
-    monkeypatch.chdir(tmp_path)
-    folder = write_results(tmp_path / "results", runs=3, recorded=0, report={"figures": []})
+def test_results_that_another_version_wrote_are_read_and_a_line_says_so(here, capsys, command):
+    folder = write_results(here / "results", runs=3, recorded=0, report={"figures": []})
     edit_manifest(folder, lambda m: m["versions"].update(bojax="99.1"))
     assert main([*command.split(), "results"]) == 0
     assert capsys.readouterr().err.startswith(
@@ -65,9 +62,8 @@ def test_results_that_another_version_wrote_are_read_and_a_line_says_so(
     [lambda point: point.pop("config"), lambda point: point["config"].pop("kind")],
     ids=["config", "kind"],
 )
-def test_settings_that_are_missing_are_one_line(tmp_path, monkeypatch, refusal, command, edit):
-    monkeypatch.chdir(tmp_path)
-    folder = write_results(tmp_path / "results", runs=3, recorded=0)
+def test_settings_that_are_missing_are_one_line(here, refusal, command, edit):
+    folder = write_results(here / "results", runs=3, recorded=0)
     edit_manifest(folder, lambda m: edit(m["points"][0]))
     expected = "results: this version of bojax cannot read the settings of kcbts (settings: got {"
     assert refusal(f"{command} results").startswith(expected)
@@ -79,14 +75,13 @@ def test_parts_by_import_path_are_named(tmp_path):
     assert "mine:Dock: given by import path" in build_report(folder).read_text()
 
 
-def test_files_of_data_are_not_read_again(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "depth.csv").write_text("0,1\n2,3\n")
+def test_files_of_data_are_not_read_again(here, monkeypatch):
+    (here / "depth.csv").write_text("0,1\n2,3\n")
     field = {"kind": "grid", "file": "depth.csv", "extent": [0.0, 0.0, 1.0, 1.0]}
     config = validate_experiment({"kind": "planning", "problem": {"kind": "two-pits", "field": field}})
     recorded = PointEntry(index=0, label="x", config=json.loads(json.dumps(plain(config))))
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")
     assert experiment_of(recorded) == config
-    (tmp_path / "elsewhere" / "depth.csv").write_text("4,5\n6,7\n")  # another file of the same name
+    (here / "elsewhere" / "depth.csv").write_text("4,5\n6,7\n")  # another file of the same name
     assert experiment_of(recorded) == config

@@ -28,6 +28,7 @@ from bojax.results.store import (
     write_tables,
 )
 from bojax.results.tables import KEYS, count_nans, sort_rows, to_arrow
+from tests.refusals import one_line
 
 STEPS = (*KEYS, Column("step", "int32"), Column("reward", "float32", "m", "what the task pays"))
 
@@ -302,9 +303,8 @@ def test_fingerprint(tmp_path):
 @pytest.mark.parametrize("text", ["[" * 10**5, f"[{'1' * 10**4}]", "[1", ""])
 def test_json_that_cannot_be_read_is_one_line(tmp_path, text):
     (tmp_path / "a.json").write_text(text)
-    with pytest.raises(ResultsError, match="cannot be read") as error:
+    with one_line(ResultsError, "cannot be read"):
         read_json(tmp_path / "a.json")
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("read", [read_json, read_table])
@@ -322,9 +322,8 @@ def test_json_has_no_nan(tmp_path):
 def test_unreadable_files_are_one_line(tmp_path):
     (tmp_path / "manifest.json").write_text('{"name": ')
     for read in (lambda: read_manifest(tmp_path), lambda: read_table(tmp_path / "manifest.json")):
-        with pytest.raises(ResultsError, match="truncated") as error:
+        with one_line(ResultsError, "truncated"):
             read()
-        assert "\n" not in str(error.value)
     with pytest.raises(ResultsError, match="not a results folder"):
         read_manifest(tmp_path / "nowhere")
     with pytest.raises(ResultsError, match="no such file"):

@@ -30,10 +30,7 @@ def test_the_number_of_threads_changes_nothing(monkeypatch):
     ("part", "wrong"),
     [("qpos", np.nan), ("qpos", np.inf), ("qvel", np.nan), ("qvel", 1e12), ("control", np.nan)],
 )
-def test_a_lane_of_which_mujoco_warns_has_diverged_and_prints_nothing(
-    part, wrong, tmp_path, monkeypatch, capfd
-):
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file in the current folder
+def test_a_lane_of_which_mujoco_warns_has_diverged_and_prints_nothing(part, wrong, here, capfd):
     before = given("hopper")
     alone = CSteps(reference("hopper"), 4)._advance(before)
     before[3, {"qpos": 1, "qvel": 6, "control": -1}[part]] = wrong
@@ -41,7 +38,7 @@ def test_a_lane_of_which_mujoco_warns_has_diverged_and_prints_nothing(
     others = np.arange(LANES) != 3
     np.testing.assert_array_equal(after[others], alone[others])
     assert np.isnan(after[3]).all()
-    assert capfd.readouterr() == ("", "") and not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "") and not list(here.iterdir())
 
 
 def test_the_model_of_the_simulator_keeps_its_options():

@@ -18,6 +18,7 @@ from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
 from tests.compiling import REPEATABLY
+from tests.refusals import one_line
 from tests.tiers import by_tier
 
 MODELS = {
@@ -338,6 +339,5 @@ def test_what_a_file_of_ones_own_includes_lies_beside_it(tmp_path):
 
 
 def test_a_file_of_ones_own_that_is_missing_says_so_in_a_line(tmp_path):
-    with pytest.raises(ValueError, match=r"none\.xml: .*No such file") as caught:
+    with one_line(ValueError, r"none\.xml: .*No such file"):
         from_file(tmp_path / "none.xml")
-    assert "\n" not in str(caught.value)

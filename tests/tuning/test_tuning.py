@@ -354,9 +354,8 @@ def test_choices_of_parts_and_texts_are_part_of_the_search(tmp_path, capsys):
     assert set(finished["learner"].to_pylist()) <= {"exploration-values", "additive"}
 
 
-def test_mistakes(tmp_path, monkeypatch, refusal):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "swept.yaml").write_text("base: chain\naxes: {learner.kappa: [0.1, 1]}\n")
+def test_mistakes(here, refusal):
+    (here / "swept.yaml").write_text("base: chain\naxes: {learner.kappa: [0.1, 1]}\n")
     for words, message in cases(MISTAKES):
         error = refusal(f"tune {words}")
         assert error.startswith(message)
