@@ -126,7 +126,7 @@ class BayesianOptimisation(eqx.Module):
         least |= {"num_local": 0, "num_starts": 1}
         for name, number in least.items():
             check_count(name, getattr(self, name), number)
-        check_number("prior_spread", self.prior_spread, 0.0, str(self.low.dtype), is_above=True)
+        check_number("prior_spread", self.prior_spread, str(self.low.dtype), is_above=True)
         if self.noise_variance.shape:
             raise ValueError(f"noise_variance: got shape {self.noise_variance.shape}; allowed: one number")
         for name, corner in (("low", self.low), ("high", self.high)):
@@ -146,7 +146,7 @@ class BayesianOptimisation(eqx.Module):
         check_positive("kernel", self.kernel)
         check_finite("acquisition", self.acquisition)
         check_number(
-            "noise_variance", self.noise_variance, 0.0, str(self.low.dtype), is_above=self.relearn_every > 0
+            "noise_variance", self.noise_variance, str(self.low.dtype), is_above=self.relearn_every > 0
         )
         low, high = np.asarray(self.low), np.asarray(self.high)
         with np.errstate(over="ignore"):
@@ -159,7 +159,7 @@ class BayesianOptimisation(eqx.Module):
 
     def init(self, key: Key[Array, ""]) -> OptimisationState:
         """The state before any evaluation."""
-        check_key("key", key)
+        check_key(key)
         return OptimisationState(
             key=key,
             model=GaussianProcess.prior(
@@ -298,7 +298,7 @@ class BayesianOptimisation(eqx.Module):
         Raises:
             ValueError: `num_iterations` exceeds the capacity.
         """
-        check_key("key", key)
+        check_key(key)
         check_count("num_iterations", num_iterations, 1)
         if num_iterations > self.capacity:
             raise ValueError(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bojax.areas.area import Area, Ring
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -18,10 +18,8 @@ def shapely_module():
     Raises:
         MissingExtra: It is not installed.
     """
-    try:
+    with needed("shapely", "geo"):
         import shapely
-    except ImportError as error:
-        raise MissingExtra("shapely", "geo") from error
     return shapely
 
 

@@ -1,5 +1,8 @@
 """Optional packages: what each is for, and the error if one is missing, with the command that installs it."""
 
+import contextlib
+from collections.abc import Iterator
+
 OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
     "geo": ("rasterio", "GeoTIFF, NetCDF, map projections and bojax survey"),
@@ -27,3 +30,16 @@ class MissingExtra(ImportError):
 
     def __init__(self, package: str, extra: str):
         super().__init__(f"{package} is not installed; {how_to_install(extra)}")
+
+
+@contextlib.contextmanager
+def needed(package: str, extra: str) -> Iterator[None]:
+    """Context of the imports of an optional package.
+
+    Raises:
+        MissingExtra: It is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtra(package, extra) from error

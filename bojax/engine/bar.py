@@ -5,7 +5,6 @@ import json
 import os
 import sys
 import time
-from types import TracebackType
 from typing import Any
 
 from rich.console import Console
@@ -63,9 +62,7 @@ class Bar:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
 
 _HANGUP: signal.Signals | None = getattr(signal, "SIGHUP", None)  # Windows lacks it
 SIGNALS = (signal.SIGINT, signal.SIGTERM, *([_HANGUP] if _HANGUP else []))
@@ -79,9 +78,7 @@ class StopRequest:
             threading.Thread(target=self._watch, daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._is_active:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)

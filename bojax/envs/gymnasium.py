@@ -14,21 +14,19 @@ from jaxtyping import Array, Bool, Float
 from typing_extensions import override
 
 from bojax.config.errors import note_once
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.envs.adapter import Adapter
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Space
 from bojax.numerics.trial import Misfit
 from bojax.text import error_line, one_line
 
-try:
+with needed("gymnasium", "gym"):
     import gymnasium
     from gymnasium import spaces
     from gymnasium.error import NameNotFound
 
     from bojax.envs.gymnasium_spaces import GymnasiumAdapter, from_gymnasium, to_gymnasium
-except ImportError as error:
-    raise MissingExtra("gymnasium", "gym") from error
 
 
 _TRIAL_STEPS = 10

@@ -14,18 +14,16 @@ import numpy as np
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.envs.adapter import Adapter
 from bojax.envs.spaces import Box, Discrete, Space
 from bojax.numerics.trial import Misfit
 from bojax.text import one_line
 
-try:
+with needed("gymnasium", "gym"):
     from gymnasium import Space as GymnasiumSpace
     from gymnasium import spaces
     from gymnasium.spaces.utils import flatten, flatten_space, unflatten
-except ImportError as error:
-    raise MissingExtra("gymnasium", "gym") from error
 
 _INFINITE = 1e30
 """Bounds from here on count as infinite, since some environments declare the largest 32-bit number."""

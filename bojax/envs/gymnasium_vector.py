@@ -10,19 +10,17 @@ import numpy as np
 from jaxtyping import Array, Int, Key
 from typing_extensions import override
 
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.envs.base import Action, Env
 from bojax.envs.gymnax import Episode, GymnaxEnv
 from bojax.envs.spaces import Box
 
-try:
+with needed("gymnasium", "gym"):
     import gymnasium
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 
     from bojax.envs.gymnasium_spaces import to_gymnasium
-except ImportError as error:
-    raise MissingExtra("gymnasium", "gym") from error
 
 
 class GymnasiumVectorEnv(VectorEnv):

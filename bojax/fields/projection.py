@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.fields.raster import DEGREES
 
 if TYPE_CHECKING:
@@ -113,10 +113,8 @@ def _row(pair: tuple[float, float]) -> "np.ndarray":
 
 
 def _pyproj():
-    try:
+    with needed("pyproj", "geo"):
         import pyproj
-    except ImportError as error:
-        raise MissingExtra("pyproj", "geo") from error
     return pyproj
 
 

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.config.limits import NUMBERS, TEXT, read_within
 from bojax.fields.data import X_NAMES, Y_NAMES, read_array, read_points
 from bojax.fields.projection import Projection
@@ -194,10 +194,8 @@ def _pivoted(points: "np.ndarray", names: list[str], file: str) -> Raster:
 
 
 def _read_with_rasterio(path: str, variable: str, most: int) -> Raster:
-    try:
+    with needed("rasterio", "geo"):
         import rasterio
-    except ImportError as error:
-        raise MissingExtra("rasterio", "geo") from error
     import warnings
 
     if not os.path.exists(path):

@@ -105,10 +105,10 @@ def check_readings(x: tuple[str, Any], y: tuple[str, Any], is_given: Any) -> Non
             raise ValueError(f"{name}: {bad} of {rows.size} numbers are not finite")
 
 
-def check_key(name: str, value: Any) -> None:
+def check_key(value: Any) -> None:
     """Refuse anything but a random key."""
     if not isinstance(value, jax.Array):
-        raise _refused(name, value, "a key, such as jax.random.key(0)")
+        raise _refused("key", value, "a key, such as jax.random.key(0)")
 
 
 def check_kind(name: str, value: Any, kind: type, example: str) -> None:
@@ -135,14 +135,14 @@ def check_count(name: str, value: Any, least: int) -> int:
     return number
 
 
-def check_number(name: str, value: Any, least: float, dtype: str, *, is_above: bool = False) -> float:
-    """`value`, which must be a number of at least `least`, or above it, even after rounding to `dtype`."""
+def check_number(name: str, value: Any, dtype: str, *, is_above: bool = False) -> float:
+    """`value`, which must be a number of at least 0, or above it, even after rounding to `dtype`."""
     if isinstance(value, np.ndarray | jax.Array) and value.ndim == 0:
         value = value.item()
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
     number = float(_rounded(float(value), dtype)) if is_number else math.nan
-    if not math.isfinite(number) or number < least or (is_above and number == least):
-        allowed = f"a number {'>' if is_above else '>='} {least:g}, representable in {dtype}"
+    if not math.isfinite(number) or number < 0.0 or (is_above and number == 0.0):
+        allowed = f"a number {'>' if is_above else '>='} 0, representable in {dtype}"
         raise _refused(name, value, allowed)
     return float(value)
 

@@ -90,14 +90,14 @@ class _Regressor(abc.ABC):
         return f"{type(self).__name__}({settings})"
 
     def _data(self, X: Any, y: Any, dtype: str) -> tuple[np.ndarray, np.ndarray]:
-        X = _matrix("X", X, dtype)
+        X = _matrix(X, dtype)
         self.n_features_in_ = X.shape[1]
         return X, _vector("y", y, len(X), dtype)
 
     def _queries(self, X: Any) -> np.ndarray:
         if not hasattr(self, "posterior_"):
             raise ValueError(f"{type(self).__name__} has not been fitted: call fit first")
-        X = _matrix("X", X, self._fitted_dtype())
+        X = _matrix(X, self._fitted_dtype())
         if X.shape[1] != self.n_features_in_:
             raise ValueError(f"X: got {X.shape[1]} columns; allowed: {self.n_features_in_}, as in fit")
         return X
@@ -204,7 +204,7 @@ class GaussianProcessRegressor(_Regressor):
         check_finite("mean", mean)
         check_takes("kernel", kernel, 2, num_dims, dtype)
         check_takes("mean", mean, 1, num_dims, dtype)
-        noise_variance = check_number("noise_variance", self.noise_variance, 0.0, dtype)
+        noise_variance = check_number("noise_variance", self.noise_variance, dtype)
         is_standardised = check_flag("standardise", self.standardise)
         is_learned = check_flag("optimise", self.optimise)
         num_starts = check_count("num_starts", self.num_starts, 1)
@@ -324,7 +324,7 @@ class BayesianLinearRegressor(_Regressor):
         check_takes("features", features, 1, X.shape[1], dtype)
         is_learned = check_flag("optimise", self.optimise)
         precisions = tuple(
-            jnp.asarray(check_number(name, getattr(self, name), 0.0, dtype, is_above=True), dtype)
+            jnp.asarray(check_number(name, getattr(self, name), dtype, is_above=True), dtype)
             for name in ("prior_precision", "noise_precision")
         )
         design, y = _design(features, X, dtype), jnp.asarray(y, dtype)
@@ -354,8 +354,8 @@ _predict = eqx.filter_jit(lambda posterior, xs: posterior.predict(xs))
 _features = eqx.filter_jit(lambda features, xs: features.design(xs))
 
 
-def _matrix(name: str, values: Any, dtype: str) -> np.ndarray:
-    return check_array(name, values, 2, "[rows, columns]", dtype)
+def _matrix(X: Any, dtype: str) -> np.ndarray:
+    return check_array("X", X, 2, "[rows, columns]", dtype)
 
 
 def _vector(name: str, values: Any, length: int, dtype: str) -> np.ndarray:

@@ -281,7 +281,6 @@ class GaussianProcess(eqx.Module):
         whitened: Float[Array, "N"],
         xs: Float[Array, "M D"],
         whitened_xs: Float[Array, "N M"],
-        noise_variance: Float[Array, ""] | None = None,
     ) -> Float[Array, "M"]:
         """The row that an observation at `x` appends to `whiten(xs)`.
 
@@ -293,9 +292,8 @@ class GaussianProcess(eqx.Module):
             whitened: `whiten` of `x`.
             xs: Points of the predictions.
             whitened_xs: `whiten` of `xs`, before the observation.
-            noise_variance: Variance of the observation's noise, as in `next_row`.
         """
-        inverse_pivot = 1.0 / self._next_pivot(x, whitened, noise_variance)
+        inverse_pivot = 1.0 / self._next_pivot(x, whitened, None)
         return (self.kernel.gram(x[None, :], xs)[0] - matmul(whitened, whitened_xs)) * inverse_pivot
 
     def _next_pivot(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -333,8 +334,7 @@ def setting_cell(value: Any) -> Cell:
     return Cell(plain(value), key=value if is_number(value) else plain(value))
 
 
-def _times_among(values: np.ndarray) -> Cell:
-    return among_cell(values, statistics.time_interval)
+_times_among = partial(among_cell, interval=statistics.time_interval)
 
 
 def _times(column: str, end: str) -> list[_Measure]:

@@ -10,9 +10,6 @@ from bojax.areas.shapes import shapely_module
 from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within
 from bojax.surveys.polylines import Waypoints, length_of, points_along
 
-MOST_ROBOTS = 4
-"""Largest number of robots that are planned together."""
-
 Point = np.ndarray | None
 """An end of a route, m; None if it is free."""
 

@@ -289,8 +289,3 @@ def _check_choices(declaration: Declaration, where: str) -> None:
             f"{where}: choices.{name}: got {shown(value)}, which changes no point of "
             f"{', '.join(sweeps)}; allowed: settings that a point has"
         )
-
-
-def content_of(declaration: Declaration) -> Mapping[str, Any]:
-    """What the verdicts of an analysis depend on, as plain values."""
-    return declaration.file.model_dump(mode="json", exclude={"title", "reading", "block"})

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bojax.claims.multiverse.declaration import AXIS, Declaration, content_of
+from bojax.claims.multiverse.declaration import AXIS, Declaration
 from bojax.config.claims import Claim, EntryClass
 from bojax.report import statistics
 from bojax.report.findings import Verdict, evaluate
@@ -109,11 +109,12 @@ class Multiverse(Recorded):
 
 def begin(declaration: Declaration) -> Multiverse:
     """An analysis without outcomes."""
+    irrelevant = {"title", "reading", "block"}  # to the verdicts
     return Multiverse(
         name=declaration.name,
         title=declaration.file.title,
         reading=declaration.file.reading.strip(),
-        declaration=dict(content_of(declaration)),
+        declaration=declaration.file.model_dump(mode="json", exclude=irrelevant),
         configurations=[list(levels) for levels in declaration.configurations],
     )
 

@@ -23,7 +23,7 @@ from typing import Any
 from typing_extensions import override
 
 from bojax.config.errors import printable
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.config.launching import RayConfig
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.remote import Launcher, num_shares
@@ -264,10 +264,8 @@ def _answers(address: str | None) -> bool:
 
 
 def _ray() -> Any:
-    try:
+    with needed("ray", "ray"):
         return importlib.import_module("ray")
-    except ImportError as error:
-        raise MissingExtra("ray", "ray") from error
 
 
 def _is_main() -> bool:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bojax.config.extras import MissingExtra
+from bojax.config.extras import needed
 from bojax.logs import quiet
 from bojax.report.exporting.content import ExportedPoint, exported
 from bojax.report.source import load
@@ -67,13 +67,11 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
 
     Curves are metrics by step, final numbers are metrics without a step, settings are parameters.
     """
-    try:
+    with needed("mlflow", "mlflow"):
         # mlflow-skinny can be imported without it, but has no database then.
         import sqlalchemy  # noqa: F401 # pyright: ignore[reportMissingImports]
         from mlflow import MlflowClient  # pyright: ignore[reportMissingImports]
         from mlflow.entities import Metric, Param  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtra("mlflow", "mlflow") from error
     make_folder(out)
     folder = out.resolve()
     with _refused(out, "MLflow"):
@@ -97,11 +95,9 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
 
 def to_tensorboard(points: Sequence[ExportedPoint], out: Path) -> None:
     """Write a run of TensorBoard per point: its curves are scalars, its settings are hyper-parameters."""
-    try:
+    with needed("tensorboardX", "tensorboard"):
         from tensorboardX import SummaryWriter
         from tensorboardX.summary import hparams
-    except ImportError as error:
-        raise MissingExtra("tensorboardX", "tensorboard") from error
     for point in points:
         folder = out / f"{point.index}-{file_name(point.name)}"
         with explained(folder), SummaryWriter(str(folder)) as writer:
@@ -124,10 +120,8 @@ def to_wandb(points: Sequence[ExportedPoint], out: Path) -> None:
     Nothing is sent: `wandb sync` uploads the runs. wandb may refuse a variable of the environment such as
     WANDB_BASE_URL, which is a `ResultsError`.
     """
-    try:
+    with needed("wandb", "wandb"):
         import wandb  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtra("wandb", "wandb") from error
     with _refused(out, "wandb"):
         silent = wandb.Settings(
             silent=True,

@@ -2,10 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from bojax.results.store import write_json
 from bojax.surveys.league.fields import LENGTHSCALE, NOISE_VARIANCE, VARIANCE, Field
 from bojax.surveys.league.routes import LEG, NOISE, SPACING, STORED, adaptive_route, map_routes, peers
 from bojax.surveys.league.scores import SHARE, scores_of, threshold_of
@@ -85,8 +83,3 @@ def describe(fields: Sequence[Field], starts: int) -> dict[str, Any]:
         "stored": list(STORED),
         "peers": peers()["about"],
     }
-
-
-def run_cell(cell: Cell, folder: Path) -> None:
-    """Compute a piece, and write its file at once or not at all."""
-    write_json(folder / cell.name, cell.result(), indent=None)
