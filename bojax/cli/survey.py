@@ -83,10 +83,8 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             place = place.noted(
                 f"The area is not connected: {part}, {min(100 * survey.share, 99.9):.3g}% of it, is surveyed."
             )
-        if model.is_elsewhere:
-            place = place.noted(
-                f"{args.prior}: no value lies in the area: the model is learned from a field elsewhere."
-            )
+        for note in model.notes:
+            place = place.noted(note)
         if goal.needs_values and survey.weights.min() == survey.weights.max():
             reason = "without --prior, " if args.prior is None else f"in {args.prior}, "
             place = place.noted(f"All places count alike: {reason}nothing tells them apart for this goal.")

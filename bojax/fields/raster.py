@@ -9,7 +9,10 @@ if TYPE_CHECKING:
     import numpy as np
 
 NO_DATA = (-9999.0, -99999.0, -999999.0, -32768.0, 9.969209968386869e36, 1e20)
-"""Values that programs write for missing data. Numbers above 1e30 in magnitude count as missing too."""
+"""Values that programs write for missing data. Numbers above `LARGEST` in magnitude count as missing too."""
+
+LARGEST = 1e30
+"""Largest magnitude of a measured value."""
 
 DEGREES = "EPSG:4326"
 """Longitude and latitude."""
@@ -104,7 +107,7 @@ def with_holes(values: "np.ndarray") -> "np.ndarray":
     """The values, with NaN for those that stand for missing data."""
     import numpy as np
 
-    is_missing = np.isin(values, NO_DATA) | (np.abs(values) > 1e30)
+    is_missing = np.isin(values, NO_DATA) | (np.abs(values) > LARGEST)
     return np.where(is_missing, np.nan, values)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 from collections import Counter
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 
 from bojax.areas.area import Area
 from bojax.config.extras import MissingExtra
+from bojax.fields.raster import LARGEST
+from bojax.fields.scale import unit_doubt
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.results.store import write_arrays
@@ -49,7 +52,8 @@ class Mission:
         area: Area to survey.
         position: Where the robot is, m.
         remaining: Distance left, m.
-        counts: How often input was left out, by reason: `not_finite`, `far_off` (a position), `duplicate`,
+        counts: How often input was left out, by reason: `not_finite`, `too_large` (a value that
+            files have for missing data, beyond 1e30 in magnitude), `far_off` (a position), `duplicate`,
             `bad_pose`; and `time_backwards`, for measurements that are kept.
         hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
         route: The last plan.
@@ -119,6 +123,7 @@ class Mission:
         self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
         self._shift, self._scale = 0.0, 1.0
         self._learned_at, self._plans = 0, 0
+        self._is_doubted = False  # the unit of the values, by a warning
 
     @property
     def num_measurements(self) -> int:
@@ -199,7 +204,8 @@ class Mission:
         """Take measurements into the belief, and move the robot.
 
         The distance driven, along the measured points to the pose, is taken from the budget. What cannot be
-        used is left out and counted in `counts`.
+        used is left out and counted in `counts`. Values in an unlikely unit are kept, with one warning in a
+        mission (see `bojax.fields.scale`).
 
         Args:
             points: Positions of any number of measurements, in the order of driving, `[S, 2]`, m.
@@ -232,6 +238,7 @@ class Mission:
         for index, row in enumerate(map(tuple, rows.tolist())):
             reason = (
                 "not_finite" if not is_finite[index]
+                else "too_large" if abs(values[index]) > LARGEST
                 else "far_off" if is_far[index]
                 else "duplicate" if row in self._held
                 else ""
@@ -243,6 +250,9 @@ class Mission:
             is_taken[index] = True
         self._x = np.concatenate([self._x, points[is_taken]])
         self._y = np.concatenate([self._y, values[is_taken]])
+        if not self._is_doubted and (doubt := unit_doubt(self._y)):
+            self._is_doubted = True
+            warnings.warn(f"values: {doubt}", stacklevel=2)
         every = self.relearn_every
         if every is not None and self.num_measurements - self._learned_at >= max(every, LEAST_DATA):
             self.relearn()

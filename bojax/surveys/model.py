@@ -12,6 +12,7 @@ from bojax.areas.place import MOST_CELLS, Place
 from bojax.fields.data import read_points
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
+from bojax.fields.scale import unit_doubt
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
@@ -37,7 +38,7 @@ class FieldModel:
         source: Where the numbers come from, for the report.
         mean: Mean of the field.
         seen: Points `[N, 2]`, m, and values `[N]` of the earlier survey; None without one.
-        is_elsewhere: Whether all points of the earlier survey lie outside the bounds of the area.
+        notes: What a user should know of the earlier survey, a sentence each.
     """
 
     lengthscale: float
@@ -46,7 +47,7 @@ class FieldModel:
     source: str
     mean: float = 0.0
     seen: tuple[np.ndarray, np.ndarray] | None = None
-    is_elsewhere: bool = False
+    notes: tuple[str, ...] = ()
 
     def belief(self) -> GaussianProcess:
         """The belief about the field before the survey; inputs are in metres."""
@@ -94,7 +95,11 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
     x_min, y_min, x_max, y_max = place.area.bounds
     is_within = (points >= [x_min, y_min]) & (points <= [x_max, y_max])
-    is_elsewhere = not is_within.all(axis=1).any()
+    notes = []
+    if not is_within.all(axis=1).any():
+        notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
+    if doubt := unit_doubt(values):
+        notes.append(f"{file}: {doubt}.")
     chosen = np.random.default_rng(0).permutation(len(values))[:MOST_SEEN]
     seen = points[chosen], values[chosen]
     points, values = (each[:MOST_POINTS] for each in seen)
@@ -119,7 +124,7 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     mean = float(values.mean()) + scale * float(learned.mean.value)
     std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
     source = f"learned from {len(values)} values of {Path(file).name}"
-    return FieldModel(lengthscale or found, std, noise, source, mean, seen, is_elsewhere)
+    return FieldModel(lengthscale or found, std, noise, source, mean, seen, tuple(notes))
 
 
 def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray]:

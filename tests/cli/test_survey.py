@@ -230,6 +230,18 @@ def test_an_earlier_survey_elsewhere_is_named(here, monkeypatch, capsys, at, is_
     assert (note in capsys.readouterr().out) == is_noted
 
 
+@pytest.mark.parametrize(("factor", "is_noted"), [(1.0, False), (1e9, True)])
+def test_an_earlier_survey_in_an_unlikely_unit_is_named(tmp_path, monkeypatch, capsys, factor, is_noted):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
+    rows = [f"{i},{i % 7},{factor * (i % 5 - 9)}" for i in range(30)]
+    (tmp_path / "old.csv").write_text("x,y,z\n" + "\n".join(rows))
+    words = ["100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower", "--out", "out"]
+    assert main(["survey", *words]) == 0
+    note = "note: old.csv: the values have a standard deviation of 1.41e+09; check their unit.\n"
+    assert (note in capsys.readouterr().out) == is_noted
+
+
 def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
     best = {"name": "route, optimised", "method": "route", "errors": [1.0, 0.3]}
     close = {"name": "lawnmower", "method": "lawnmower", "errors": [1.0, 0.2]}

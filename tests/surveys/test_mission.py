@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import textwrap
+import warnings
 
 import jax.monitoring
 import numpy as np
@@ -86,6 +87,28 @@ def test_what_cannot_be_used_is_counted():
     }
     np.testing.assert_allclose(survey.position, [1.3, 1.0])
     assert survey.remaining == pytest.approx(12.0 - 0.3)
+
+
+@pytest.mark.parametrize(("factor", "warned"), [(1.0, 0), (1e9, 1)])
+def test_values_in_an_unlikely_unit_are_kept_with_one_warning(factor, warned):
+    survey = mission()
+    points = np.random.default_rng(0).uniform(0.0, 6.0, (40, 2))
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        for part in (points[:20], points[20:]):
+            assert survey.observe(part, factor * field(part)) == 20
+    assert [str(each.message).partition(" of ")[0] for each in found] == [
+        "values: the values have a standard deviation"
+    ] * warned
+    survey.relearn()
+    mean, _ = survey.predict(points)
+    np.testing.assert_allclose(mean, factor * field(points), atol=6.0 * factor)
+
+
+def test_a_value_that_stands_for_missing_data_is_counted():
+    survey = mission()
+    assert survey.observe([[1.1, 1.0], [1.2, 1.0], [1.3, 1.0]], [-3.4e38, 1e25, 9.97e36]) == 1
+    assert survey.counts["too_large"] == 2
 
 
 def test_the_belief_outgrows_its_capacity():
