@@ -18,7 +18,8 @@ def drive(path):
 
 
 jax.config.update("jax_enable_x64", True)
-problem, planner = bojax.part("monitoring", max_steps=10), bojax.part("sbo", iterations=30, depth=2)
+problem = bojax.part("monitoring", domain=(0.0, 0.0, 6.0, 6.0), field=None, max_steps=10)
+planner = bojax.part("sbo", iterations=30, depth=2)
 plan = eqx.filter_jit(planner.plan)
 key = jax.random.key(0)
 belief = problem.prior(key, problem.reset(key), planner.motions.num_samples)

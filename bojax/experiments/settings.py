@@ -48,6 +48,15 @@ class Planning(ExperimentSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
+    def _field_to_sample(self) -> "Planning":
+        if isinstance(self.problem, FieldProblem) and self.problem.field is None:
+            raise ValueError(
+                "problem.field: got null; allowed: a true field, which a run samples, such as {kind: grid, "
+                "file: depth.tif}; bojax survey and bojax.Mission plan without one"
+            )
+        return self
+
+    @pydantic.model_validator(mode="after")
     def _objective_of_a_field(self) -> "Planning":
         is_known = not isinstance(self.problem, External | FieldProblem)
         if is_known and getattr(self.planner, "objective", None) is not None:

@@ -73,10 +73,11 @@ class FieldProblem(PathProblem):
     turning radius). With a budget of distance, or of time at a speed, the robot stops at the last pose that
     it allows, and the episode ends. With an end point, it stops at the last pose from which the budget
     suffices to reach this point, drives the shortest way there, and the episode ends there. The same rules
-    hold in the world and in the simulations of every planner.
+    hold in the world and in the simulations of every planner. Plans, beliefs and simulations need no true
+    field; without one, the problem has no world to execute a path in, and no scores.
     """
 
-    field: Field
+    field: Field | None
     domain: Float[Array, "4"]
     walls: Boxes | None
     start: Float[Array, "3"] | None
@@ -117,7 +118,8 @@ class FieldProblem(PathProblem):
         """Check that kernel, mean, sensor, field and vehicle fit together, or raise ValueError."""
         check_takes("kernel", self.kernel, 2, 2, self.domain.dtype, "the coordinates of the plane")
         check_takes("mean", self.mean, 1, 2, self.domain.dtype, "the coordinates of the plane")
-        self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)
+        if self.field is not None:
+            self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)
         radius = self.vehicle.turning_radius
         if radius > 0.0 and self.after_collision == "turn":
             raise ValueError(
@@ -158,6 +160,17 @@ class FieldProblem(PathProblem):
     @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """Scores of the final belief: `field_score`, and others that a subclass adds."""
+
+    @property
+    def true_field(self) -> Field:
+        """The field that the world has.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if self.field is None:
+            raise ValueError("field: got none; allowed, to execute a path or to score a belief: a true field")
+        return self.field
 
     @property
     def measures_distance(self) -> bool:
@@ -244,8 +257,9 @@ class FieldProblem(PathProblem):
             jax.random.fold_in(key, 0), world.vehicle, driven.poses, arena.end(driven), noise
         )
         # Samples are values at the true poses, assigned to the estimated ones.
-        values = self.sensor(key, self.field, tracked.poses, tracked.sensor_poses, self.noise)
-        slope = jnp.sqrt(jnp.sum(self.field.gradients(tracked.poses[:, :2]) ** 2, axis=-1))
+        field = self.true_field
+        values = self.sensor(key, field, tracked.poses, tracked.sensor_poses, self.noise)
+        slope = jnp.sqrt(jnp.sum(field.gradients(tracked.poses[:, :2]) ** 2, axis=-1))
         after = FieldWorld(
             vehicle=tracked.state,
             collisions=world.collisions + driven.collided.astype(jnp.int32),
@@ -357,7 +371,7 @@ class FieldProblem(PathProblem):
         mean, variance = belief.predict_grid(grid, self.resolution)
         is_open = self.arena.is_free(grid)
         taken = jnp.maximum(posterior.count + posterior.num_ignored, 1).astype(mean.dtype)
-        return field_errors(self.field, grid, mean, variance, is_open, self.weighting) | {
+        return field_errors(self.true_field, grid, mean, variance, is_open, self.weighting) | {
             "collisions": world.collisions,
             "sampled_gradient": world.gradient / taken,
             "ignored_samples": posterior.num_ignored,
@@ -381,7 +395,7 @@ class FieldProblem(PathProblem):
             "belief": {
                 "x": x,
                 "y": y,
-                "truth": self.field.values(grid).reshape(shape),
+                "truth": self.true_field.values(grid).reshape(shape),
                 "mean": mean.reshape(shape),
                 "std": jnp.sqrt(variance).reshape(shape),
                 "samples": jnp.where(posterior.is_held()[:, None], samples, jnp.nan),

@@ -105,7 +105,7 @@ def final_map(problem: FieldProblem, belief: FieldBelief) -> Map:
     points = problem.grid()
     mean, variance = belief.predict_grid(points, problem.resolution)
     is_open = problem.arena.is_free(points)
-    error = mean - problem.field.values(points)
+    error = mean - problem.true_field.values(points)
     offset = _mean(error, is_open)
     return Map(points, mean, jnp.sqrt(variance), error - offset, offset, is_open)
 
@@ -224,7 +224,7 @@ class PropMapping(FieldProblem):
 
 def map_score(problem: FieldProblem, belief: FieldBelief, final: Map) -> dict[str, Scalar]:
     """The columns of `MAP_COLUMNS`."""
-    truth = problem.field.values(final.points)
+    truth = problem.true_field.values(final.points)
     spread = _rms(final.error, final.is_open)
     relief = _rms(truth - _mean(truth, final.is_open), final.is_open)
     # Rounding would give a flat field a relief that nothing can be divided by.
@@ -248,7 +248,7 @@ def map_score(problem: FieldProblem, belief: FieldBelief, final: Map) -> dict[st
 
 def _check_altitude(problem: FieldProblem) -> None:
     altitude = problem.vehicle.flight_altitude
-    highest = float(jnp.max(problem.field.values(problem.grid())))
+    highest = float(jnp.max(problem.true_field.values(problem.grid())))
     if altitude is not None and altitude <= highest:
         raise ValueError(
             f"vehicle.altitude: got {altitude:g}; the ground rises to {highest:.2f} m: set a larger altitude"

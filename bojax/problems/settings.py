@@ -234,7 +234,11 @@ class FieldProblem(ProblemSettings, frozen=True):
 
     target: ClassVar[str] = "bojax.problems.monitoring:FieldMonitoring"
 
-    field: _TrueField = Bumps(centres=((3.0, 3.0),))
+    field: Annotated[Component | None, Slot("field", optional=True)] = Field(
+        default=Bumps(centres=((3.0, 3.0),)),
+        description="true field that a run samples; null for none, to plan with a robot of your own. With an "
+        "area or a domain of your own, the default is null",
+    )
     domain: _Domain = (0.0, 0.0, 6.0, 6.0)
     margin: float = Field(default=0.0, ge=0, description="how far the robot may drive beyond the domain, m")
     walls: _Walls = None
@@ -411,6 +415,12 @@ class Monitoring(FieldProblem, frozen=True):
     """Learn a field from samples along trajectories (thesis, Chapter 3 and Section 4.7.1)."""
 
     kind: Literal["monitoring"] = "monitoring"
+
+    @pydantic.model_validator(mode="after")
+    def _no_field_of_another_area(self) -> "Monitoring":
+        if "field" not in self.model_fields_set and self.model_fields_set & {"area", "domain"}:
+            object.__setattr__(self, "field", None)
+        return self
 
 
 class _Gradients(FieldProblem, frozen=True):

@@ -106,6 +106,12 @@ planner: {kind: sbo, motions: kernel}
 {problem: parking, planner: bo-pomdp}
 => x.yaml: experiment: got {…; planner.objective: bo-pomdp maximises an objective on a field, and parking has
    no field: set planner.objective to null, or choose another planner
+{problem: {kind: monitoring, domain: [0, 0, 500, 300]}, planner: sbo}
+=> x.yaml: experiment: got {…; problem.field: got null; allowed: a true field, which a run samples, such as
+   {kind: grid, file: depth.tif}; bojax survey and bojax.Mission plan without one
+{problem: {kind: monitoring, field: null}, planner: sbo}
+=> x.yaml: experiment: got {…; problem.field: got null; allowed: a true field, which a run samples, such as
+   {kind: grid, file: depth.tif}; bojax survey and bojax.Mission plan without one
 {problem: {kind: monitoring, field: {kind: grid, extent: [0, 0, 1, 1]}}, planner: sbo}
 => x.yaml: problem.field.file: missing; this setting has no default
 {problem: {kind: monitoring, field: {kind: grid, file: no.npy, extent: [0, 0, 1, 1]}}, planner: sbo}

@@ -106,6 +106,7 @@ def test_the_free_space_is_the_area(files):
 def settings_of(files, **more):
     settings = {
         "problem.area": json.dumps({"kind": "outline", "file": files[0], "avoid": [files[1]]}),
+        "problem.field": "{kind: bumps, centres: [[1.0, 1.0]]}",
         "problem.walls": "null",
         "problem.target_area": "null",
         "problem.start": "[0.2, 0.2, 0]",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import bojax
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
 from bojax.fields.closed_form import Bumps, Step
@@ -429,3 +430,29 @@ def test_a_vehicle_that_cannot_turn_on_the_spot_is_not_told_to():
     with pytest.raises(ConfigError, match="^after_collision"):
         build(Monitoring(vehicle=WheeledRobot()))
     build(Monitoring(vehicle=WheeledRobot(), after_collision="stop"))
+
+
+def test_an_area_of_the_users_own_has_no_field_that_was_not_given():
+    corners, bump = (0.0, 0.0, 9.0, 5.0), {"kind": "bumps", "centres": [[2.0, 2.0]]}
+    assert Monitoring(domain=corners).field is None
+    assert Monitoring.model_validate({"domain": corners, "field": bump}).field is not None
+    assert Monitoring().field is not None
+    saved = Monitoring(domain=corners).model_dump()
+    assert Monitoring.model_validate(saved).field is None
+
+
+def test_a_plan_needs_no_true_field_and_the_world_says_that_it_does():
+    paths = {}
+    for name, field in (("none", None), ("a bump", {"kind": "bumps", "centres": [[2.0, 2.0]]})):
+        problem = bojax.part("monitoring", domain=(0.0, 0.0, 4.0, 4.0), max_steps=3, field=field)
+        planner = bojax.part("sbo", iterations=5, depth=2)
+        for_start, for_prior, for_plan, for_world = keys_of(0, 4)
+        world = problem.reset(for_start)
+        belief = problem.prior(for_prior, world, planner.motions.num_samples)
+        paths[name] = eqx.filter_jit(planner.plan)(for_plan, problem, belief).path
+        if field is None:
+            with pytest.raises(ValueError, match="field: got none; allowed, to execute a path or to score"):
+                problem.execute(for_world, world, paths[name])
+            with pytest.raises(ValueError, match="field: got none"):
+                problem.score(world, belief)
+    np.testing.assert_array_equal(paths["none"], paths["a bump"])
