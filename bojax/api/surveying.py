@@ -107,7 +107,8 @@ def survey(
         spacing: Least distance between two lines of a lawnmower, m.
         sampling: Distance between two measurements, m.
         robots: Number of robots that survey at once, 1 to 4; each has the budget.
-        separation: Least distance of two robots at equal times, m, but for the first and last as many metres.
+        separation: Least distance of two robots at equal times, m, but for twice as many metres from a common
+            start or to a common end.
         lawnmower: Whether to compare lawnmowers only.
         out: New or empty folder; `results/survey/TIME` by default.
 

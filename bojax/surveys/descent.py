@@ -159,7 +159,7 @@ class Limits(eqx.Module):
 def descend(
     first: Float[Array, "R K W 2"],
     ends: Sequence[Ends],
-    budget: Float[Array, ""],
+    budget: Float[Array, "*K"],
     models: Models,
     limits: Limits,
     spacing: Float[Array, ""],
@@ -176,16 +176,17 @@ def descend(
     Args:
         first: First guesses, each one route for every robot.
         ends: Fixed ends of each robot.
-        budget: Maximum length of each route, m.
+        budget: Maximum length of all routes, or of each robot's, m.
         models: Plausible beliefs.
         limits: Limits of the routes.
         spacing: Distance of two samples of the optimisation, m.
-        number: Number of samples that the budget allows to each robot.
+        number: Number of samples that the largest budget allows.
         samples_per_point: Number of measurements that each of them stands for.
         num_steps: Number of steps of Adam.
         rate: Its first rate, m, which decays to zero along a cosine.
     """
     num_models = models.maps.shape[0]
+    budgets = [budget] * len(ends) if budget.ndim == 0 else list(budget)
 
     def rate_at(step: Any) -> Any:
         return rate * optax.cosine_decay_schedule(1.0, num_steps)(step)
@@ -193,8 +194,8 @@ def descend(
     adam = optax.adam(rate_at)
 
     def drawn_in(points: Float[Array, "K W 2"]) -> Float[Array, "K W 2"]:
-        together = zip(points, ends, strict=True)
-        return jnp.stack([within_budget(each, fixed, budget) for each, fixed in together])
+        together = zip(points, ends, budgets, strict=True)
+        return jnp.stack([within_budget(each, fixed, own) for each, fixed, own in together])
 
     def loss(points: Float[Array, "K W 2"], step: Int[Array, ""]) -> Scalar:
         routes = drawn_in(points)

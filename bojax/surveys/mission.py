@@ -4,6 +4,7 @@ import dataclasses
 import json
 import warnings
 from collections import Counter
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
-from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_route, spread_points, stays_inside
+from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
 from bojax.surveys.search import Search, part_around
+from bojax.surveys.team import MOST_ROBOTS
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
@@ -41,8 +43,49 @@ RELEARNING = 2**31  # first of the numbers that are folded into the keys of rele
 NOTHING: Waypoints = np.zeros((0, 2))
 
 
+@dataclasses.dataclass
+class Robot:
+    """What a mission knows of a robot.
+
+    Attributes:
+        position: Where it is, m.
+        remaining: Distance left, m.
+        end: Its last position, m; None for anywhere.
+        route: Its last plan.
+        time: Latest time of its measurements.
+    """
+
+    position: Waypoints
+    remaining: float
+    end: Waypoints | None = None
+    route: Route | None = None
+    time: float = -np.inf
+
+
+@dataclasses.dataclass(frozen=True)
+class _Leg:
+    """The rest of the survey of a robot.
+
+    Attributes:
+        robot: The robot.
+        entry: Its position, or the first point inside the area.
+        left: Distance left at the entry, m.
+        to_end: The shortest way from there to the end.
+    """
+
+    robot: Robot
+    entry: Waypoints
+    left: float
+    to_end: Waypoints
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether the robot has to come into the area first."""
+        return bool(np.any(self.entry != self.robot.position))
+
+
 class Mission:
-    """A survey of an area with a budget of distance, for a robot or for a person who drives.
+    """A survey of an area with a budget of distance, for robots or for a person who drives.
 
     The belief is a Gaussian process of the standardised values with a Matern 5/2 kernel. Numbers are in
     float64, whatever the settings of JAX. Once its programs are compiled, a plan compiles nothing until the
@@ -50,13 +93,12 @@ class Mission:
 
     Attributes:
         area: Area to survey.
-        position: Where the robot is, m.
-        remaining: Distance left, m.
+        robots: Position, distance left, end and last plan of each robot.
+        separation: Least distance of two robots, m.
         counts: How often input was left out, by reason: `not_finite`, `too_large` (a value that
             files have for missing data, beyond 1e30 in magnitude), `far_off` (a position), `duplicate`,
             `bad_pose`; and `time_backwards`, for measurements that are kept.
         hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
-        route: The last plan.
         goal: What the survey is for.
     """
 
@@ -74,14 +116,16 @@ class Mission:
         options: RouteOptions | None = None,
         seed: int = 0,
         goal: str | Area = "map",
+        robots: int = 1,
+        separation: float = 0.0,
     ):
         """Prepare a mission.
 
         Args:
             area: Area to survey, m.
-            budget: Distance that may be driven, m.
-            start: First position, m.
-            end: Last position, m; anywhere by default.
+            budget: Distance that each robot may drive, m.
+            start: First position, m; of several robots, one for all or a list with one for each.
+            end: Last position, or positions, m; anywhere by default.
             spacing: Distance between two measurements, m.
             lengthscale: Lengthscale of the field before it is learned, m; a sixth of the area by default.
             noise_variance: Variance of the noise before it is learned, as a share of the values' variance.
@@ -93,9 +137,12 @@ class Mission:
             goal: `"map"`, `"hotspots"` for the highest place, `"threshold=V"` for the places above a value,
                 or the part of the area that counts in a map. Without a measurement, the first plan is for a
                 map.
+            robots: Number of robots, 1 to 4.
+            separation: Least distance of two robots at equal times, m, if all begin a plan at once and drive
+                equally fast; but for twice as many metres from a common start or to a common end.
 
         Raises:
-            ValueError: A number is not positive, the start is not a position, or the goal is not known.
+            ValueError: A number is out of range, the start is not a position, or the goal is not known.
         """
         x_min, y_min, x_max, y_max = area.bounds
         self._size = max(x_max - x_min, y_max - y_min)
@@ -110,16 +157,21 @@ class Mission:
         for name, value in numbers.items():
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: got {value}; allowed: > 0")
-        self.area, self.remaining, self.position = area, float(budget), _position("start", start)
-        self.end = None if end is None else _position("end", end)
+        if robots not in range(1, MOST_ROBOTS + 1):
+            raise ValueError(f"robots: got {robots}; allowed: 1 to {MOST_ROBOTS}")
+        if not (np.isfinite(separation) and separation >= 0):
+            raise ValueError(f"separation: got {separation}; allowed: >= 0")
+        starts = _positions("start", start, robots)
+        ends = [None] * robots if end is None else _positions("end", end, robots)
+        self.area, self.separation = area, float(separation)
+        self.robots = [Robot(at, float(budget), to) for at, to in zip(starts, ends, strict=True)]
         self.spacing, self.relearn_every, self.seed = float(spacing), relearn_every, seed
         self.options = OPTIONS if options is None else options
         self.goal = goal_of(goal)
         self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
         self._medians = self.hyperparameters
         self.counts: Counter[str] = Counter()
-        self.route: Route | None = None
-        self._x, self._y, self._time = NOTHING, np.zeros(0), -np.inf
+        self._x, self._y = NOTHING, np.zeros(0)
         self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
         self._shift, self._scale = 0.0, 1.0
         self._learned_at, self._plans = 0, 0
@@ -130,29 +182,75 @@ class Mission:
         """Measurements in the belief."""
         return len(self._y)
 
-    def plan(self) -> Waypoints:
+    @property
+    def position(self) -> Waypoints:
+        """Where the robot is, m; of several, the first."""
+        return self.robots[0].position
+
+    @position.setter
+    def position(self, at: Waypoints) -> None:
+        self.robots[0].position = at
+
+    @property
+    def remaining(self) -> float:
+        """Distance left, m; of several robots, the first one's."""
+        return self.robots[0].remaining
+
+    @remaining.setter
+    def remaining(self, distance: float) -> None:
+        self.robots[0].remaining = distance
+
+    @property
+    def route(self) -> Route | None:
+        """The last plan; of several robots, the first one's."""
+        return self.robots[0].route
+
+    def plan(self) -> Any:
         """The next waypoints `[W, 2]`, m, to the end of the budget; none if the budget is used.
 
         If the budget does not allow more than the way to the fixed end, this is the plan. From a position
-        outside the area, the route leads to the nearest point inside first.
-        """
-        entry = self._entry()
-        to_entry = float(np.linalg.norm(entry - self.position))
-        left = self.remaining - to_entry
-        to_end = self._way_to_end(entry)
-        if left <= max(self.spacing, length_of(to_end) * (1.0 + ROUNDING)):
-            return NOTHING if self.end is None else to_end if to_entry > 0.0 else to_end[1:]
-        self._plans += 1
-        with jax.enable_x64(True):
-            self.route = (
-                self._searched(entry, left) if self.goal.needs_values else self._descended(entry, left)
-            )
-        route = self.route.waypoints
-        return route if to_entry > 0.0 else route[1:]
+        outside the area, the route leads to the nearest point inside first. Several robots have a list with
+        the waypoints of each, planned together; one that has reached its end is in nobody's way.
 
-    def _way_to_end(self, entry: Waypoints) -> Waypoints:
-        """The shortest way in the area to the end; a straight one if there is none, or no end."""
-        straight = np.stack([entry, entry if self.end is None else self.end])
+        Raises:
+            ValueError: No routes are found that stay in the area and keep the separation.
+        """
+        legs = [self._leg(robot) for robot in self.robots]
+        going = [leg for leg in legs if self._has_time(leg)]
+        returning = [leg.to_end for leg in legs if not self._has_time(leg) and length_of(leg.to_end) > 0.0]
+        if going:
+            self._plans += 1
+            plan = self._searched if self.goal.needs_values else self._descended
+            with jax.enable_x64(True):
+                routes = plan(going, returning)
+            for leg, route in zip(going, routes, strict=True):
+                leg.robot.route = route
+        plans = [self._waypoints(leg) for leg in legs]
+        return plans[0] if len(plans) == 1 else plans
+
+    def _leg(self, robot: Robot) -> _Leg:
+        entry = self._entry(robot.position)
+        left = robot.remaining - float(np.linalg.norm(entry - robot.position))
+        return _Leg(robot, entry, left, self._way(entry, robot.end))
+
+    def _has_time(self, leg: _Leg) -> bool:
+        """Whether the budget allows more than the way to the end."""
+        return leg.left > max(self.spacing, length_of(leg.to_end) * (1.0 + ROUNDING))
+
+    def _waypoints(self, leg: _Leg) -> Waypoints:
+        """The plan of a robot without its position."""
+        if self._has_time(leg):
+            assert leg.robot.route is not None
+            route = leg.robot.route.waypoints
+        elif leg.robot.end is None:
+            return NOTHING
+        else:
+            route = leg.to_end
+        return route if leg.is_outside else route[1:]
+
+    def _way(self, entry: Waypoints, end: Waypoints | None) -> Waypoints:
+        """The shortest way in the area to an end; a straight one if there is none, or no end."""
+        straight = np.stack([entry, entry if end is None else end])
         if stays_inside(straight, self.area):
             return straight
         try:
@@ -160,33 +258,57 @@ class Mission:
         except ValueError:
             return straight
 
-    def _descended(self, entry: Waypoints, left: float) -> Route:
-        """A route of least expected error at the places that count."""
+    def _descended(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
+        """Routes of least expected error at the places that count, beside those of returning robots."""
         key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
-        return plan_route(
-            self.posterior(), self.area, left, entry, self.end, self._guesses(entry, left), key,
-            spacing=self.spacing, target=self.goal.region, options=self._options,
-        )  # fmt: skip
+        found = plan_routes(
+            self.posterior(),
+            self.area,
+            [leg.left for leg in legs],
+            [leg.entry for leg in legs],
+            [leg.robot.end for leg in legs],
+            self._guesses(legs),
+            key,
+            spacing=self.spacing,
+            target=self.goal.region,
+            separation=self.separation,
+            others=returning,
+            options=self._options,
+        )
+        return [
+            Route(route, length_of(route), found.error, found.chosen, found.candidates)
+            for route in found.routes
+        ]
 
-    def _searched(self, entry: Waypoints, left: float) -> Route:
-        """A route of least loss of a goal that depends on values; of a map without any."""
+    def _searched(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
+        """Routes of least loss of a goal that depends on values; of a map without any.
+
+        Each robot's route is searched for given those of the others: new ones of the robots before it, and
+        the rests of the earlier plans of those after it, so that its own rest can still be driven.
+        """
         goal = Goal()
         if self.num_measurements:
             goal = dataclasses.replace(self.goal, threshold=(self.goal.threshold - self._shift) / self._scale)
-        area, ways = part_around(self.area, entry)
-        random = np.random.default_rng([self.seed, self._plans])
-        search = Search(
-            self.posterior(),
-            area,
-            left,
-            entry,
-            self.end,
-            goal,
-            spacing=self.spacing,
-            ways=ways,
-            random=random,
-        )
-        return search.route(self._earlier(entry))
+        routes: list[Route] = []
+        rests = [self._earlier(leg) for leg in legs]
+        for number, leg in enumerate(legs):
+            later = [rest for rest in rests[number + 1 :] if rest is not None]
+            area, ways = part_around(self.area, leg.entry)
+            search = Search(
+                self.posterior(),
+                area,
+                leg.left,
+                leg.entry,
+                leg.robot.end,
+                goal,
+                spacing=self.spacing,
+                ways=ways,
+                random=np.random.default_rng([self.seed, self._plans, *([number] if number else [])]),
+                others=[*returning, *(route.waypoints for route in routes), *later],
+                separation=self.separation,
+            )
+            routes.append(search.route(rests[number]))
+        return routes
 
     @property
     def _options(self) -> RouteOptions:
@@ -200,8 +322,8 @@ class Mission:
         restarts, steps = (max(2, each // 2) for each in (self.options.restarts, self.options.steps))
         return dataclasses.replace(self.options, models=1, restarts=restarts, steps=steps)
 
-    def observe(self, points: Any, values: Any, pose: Any = None, times: Any = None) -> int:
-        """Take measurements into the belief, and move the robot.
+    def observe(self, points: Any, values: Any, pose: Any = None, times: Any = None, robot: int = 0) -> int:
+        """Take measurements of a robot into the belief, and move it.
 
         The distance driven, along the measured points to the pose, is taken from the budget. What cannot be
         used is left out and counted in `counts`. Values in an unlikely unit are kept, with one warning in a
@@ -213,13 +335,17 @@ class Mission:
             pose: Position of the robot (further numbers, as a heading, are ignored); by default, the last
                 measurement.
             times: Times of the measurements, only to count those that run backwards.
+            robot: Index of the robot.
 
         Returns:
             Number of measurements taken.
 
         Raises:
-            ValueError: There are not as many values, or times, as points.
+            ValueError: There are not as many values, or times, as points, or there is no such robot.
         """
+        if robot not in range(len(self.robots)):
+            raise ValueError(f"robot: got {robot}; allowed: 0 to {len(self.robots) - 1}")
+        its = self.robots[robot]
         points = np.asarray(points, float).reshape(-1, 2)
         values = np.asarray(values, float).reshape(-1)
         if len(points) != len(values):
@@ -228,11 +354,11 @@ class Mission:
             times = np.asarray(times, float).reshape(-1)
             if len(times) != len(points):
                 raise ValueError(f"times: got {len(times)}; allowed: {len(points)}, one for each point")
-            self.counts["time_backwards"] += int(np.sum(np.diff(np.append(self._time, times)) < 0.0))
-            self._time = max(self._time, *times.tolist()) if len(times) else self._time
+            self.counts["time_backwards"] += int(np.sum(np.diff(np.append(its.time, times)) < 0.0))
+            its.time = max(its.time, *times.tolist()) if len(times) else its.time
         is_far = ~self._is_near(points)
         is_finite = np.isfinite(values) & np.isfinite(points).all(axis=1)
-        self._move(points[~is_far], pose)
+        self._move(its, points[~is_far], pose)
         rows = np.column_stack([points, values])
         is_taken = np.zeros(len(rows), bool)
         for index, row in enumerate(map(tuple, rows.tolist())):
@@ -312,15 +438,21 @@ class Mission:
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
         plain = {name: getattr(self, name) for name in _PLAIN}
+        plain["remaining"], plain["_time"] = zip(
+            *((robot.remaining, robot.time) for robot in self.robots), strict=True
+        )
         plain["counts"], plain["options"] = dict(self.counts), dataclasses.asdict(self.options)
         region = () if self.goal.region is None else self.goal.region.outline
         plain["goal"] = self.goal.kind, self.goal.threshold, len(region)
         plain["rings"] = [len(zone) for zone in (self.area.outline, *self.area.avoid)]
         rings = [ring for zone in (self.area.outline, *self.area.avoid) for ring in zone] + list(region)
         arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
-        arrays |= {"x": self._x, "y": self._y, "position": self.position}
-        arrays |= {"end": NOTHING if self.end is None else self.end}
-        arrays |= {"route": NOTHING if self.route is None else self.route.waypoints}
+        arrays |= {"x": self._x, "y": self._y, "position": [robot.position for robot in self.robots]}
+        arrays |= {"end": [robot.end for robot in self.robots if robot.end is not None] or NOTHING}
+        arrays |= {
+            f"route{number or ''}": NOTHING if robot.route is None else robot.route.waypoints
+            for number, robot in enumerate(self.robots)
+        }
         write_arrays(Path(path), {"plain": np.asarray(json.dumps(plain)), **arrays})
 
     @classmethod
@@ -344,17 +476,24 @@ class Mission:
             end = data["end"] if data["end"].size else None
             area = Area(zones[0], tuple(zones[1:]))
             region = Area(tuple(rings)) if of_region else None
-            mission = cls(area, 1.0, data["position"], end, spacing=1.0, options=RouteOptions(**options))
+            remaining, times = (np.atleast_1d(plain.pop(name)).tolist() for name in ("remaining", "_time"))
+            mission = cls(
+                area, 1.0, data["position"], end, spacing=1.0, options=RouteOptions(**options),
+                robots=len(remaining),
+            )  # fmt: skip
+            for number, robot in enumerate(mission.robots):
+                robot.remaining, robot.time = remaining[number], times[number]
+                waypoints = data[f"route{number or ''}"]
+                if len(waypoints):
+                    robot.route = Route(waypoints, length_of(waypoints), np.nan, "earlier plan", {})
             mission.goal = Goal(kind, threshold, region)
             mission.counts = Counter(plain.pop("counts"))
             mission._x, mission._y = data["x"], data["y"]
             mission._held = set(map(tuple, np.column_stack([data["x"], data["y"]]).tolist()))
-            for name in _PLAIN:
+            for name in plain.keys() & set(_PLAIN):
                 setattr(mission, name, plain[name])
             mission.hyperparameters = tuple(plain["hyperparameters"])
             mission._medians = tuple(plain["_medians"])
-            if len(data["route"]):
-                mission.route = Route(data["route"], length_of(data["route"]), np.nan, "earlier plan", {})
         except FileNotFoundError:
             raise
         except Exception as error:
@@ -368,46 +507,54 @@ class Mission:
         beyond = np.maximum(low - points, points - high)
         return np.all(beyond <= FAR * self._size, axis=-1)  # False for NaN
 
-    def _move(self, points: Waypoints, pose: Any) -> None:
+    def _move(self, robot: Robot, points: Waypoints, pose: Any) -> None:
         """Go along the points to the pose, and take the length from the budget."""
-        way = [self.position, *points]
+        way = [robot.position, *points]
         if pose is not None:
             pose = np.asarray(pose, float).reshape(-1)[:2]
             if len(pose) == 2 and self._is_near(pose[None])[0]:
                 way.append(pose)
             else:
                 self.counts["bad_pose"] += 1
-        self.remaining = max(self.remaining - length_of(np.array(way)), 0.0)
-        self.position = np.array(way[-1])
+        robot.remaining = max(robot.remaining - length_of(np.array(way)), 0.0)
+        robot.position = np.array(way[-1])
 
-    def _entry(self) -> Waypoints:
-        """The position, or the nearest of the grid's points if it lies outside the area."""
-        if self.area.distances(self.position[None])[0] >= 0.0:
-            return self.position
+    def _entry(self, position: Waypoints) -> Waypoints:
+        """A position, or the nearest of the grid's points if it lies outside the area."""
+        if self.area.distances(position[None])[0] >= 0.0:
+            return position
         points = spread_points(self.area, 1200)
-        return points[np.argmin(np.linalg.norm(points - self.position, axis=1))]
+        return points[np.argmin(np.linalg.norm(points - position, axis=1))]
 
-    def _earlier(self, entry: Waypoints) -> Waypoints | None:
+    def _earlier(self, leg: _Leg) -> Waypoints | None:
         """The rest of the earlier plan, if it stays in the area."""
-        rest = None if self.route is None else rest_of(self.route.waypoints, entry)
+        route = leg.robot.route
+        rest = None if route is None else rest_of(route.waypoints, leg.entry)
         return rest if rest is not None and stays_inside(rest, self.area) else None
 
-    def _guesses(self, entry: Waypoints, left: float) -> dict[str, Waypoints]:
-        """The rest of the earlier plan or, if there is none that stays in the area, the best lawnmowers."""
-        if (rest := self._earlier(entry)) is not None:
-            return {"earlier plan": rest}
+    def _guesses(self, legs: list[_Leg]) -> dict[str, Sequence[Waypoints]]:
+        """The rest of the earlier plans or, if one is missing or leaves the area, the best lawnmowers."""
+        rests = [rest for leg in legs if (rest := self._earlier(leg)) is not None]
+        if len(rests) == len(legs):
+            return {"earlier plan": rests}
+        ends = [leg.robot.end for leg in legs if leg.robot.end is not None]
+        demand = Demand(
+            min(leg.left for leg in legs),
+            np.array([leg.entry for leg in legs]),
+            np.array(ends) if ends else None,
+            robots=len(legs),
+        )
         try:
-            return lawnmower_guesses(
-                self.posterior(), self.area, self.goal.region, Demand(left, entry, self.end), self.spacing,
-                self.options.restarts,
-            )  # fmt: skip
+            return {**lawnmower_guesses(
+                self.posterior(), self.area, self.goal.region, demand, self.spacing, self.options.restarts
+            )}  # fmt: skip
         except (MissingExtra, ValueError):  # without shapely, or a budget for them
             return {}
 
 
 _PLAIN = (
-    "remaining", "spacing", "relearn_every", "seed", "hyperparameters", "_medians", "_time", "_shift",
-    "_scale", "_learned_at", "_plans",
+    "spacing", "relearn_every", "seed", "separation", "hyperparameters", "_medians", "_shift", "_scale",
+    "_learned_at", "_plans",
 )  # fmt: skip
 """Attributes of a mission that are saved as JSON."""
 
@@ -418,8 +565,11 @@ def _prior_about(medians: tuple[float, float, float]) -> LogPrior:
     return log_normal_prior(*model_of(medians), SPREAD)
 
 
-def _position(name: str, at: Any) -> Waypoints:
-    point = np.asarray(at, float).reshape(-1)[:2]
-    if point.shape != (2,) or not np.isfinite(point).all():
-        raise ValueError(f"{name}: got {at}; allowed: x and y in metres")
-    return point
+def _positions(name: str, given: Any, robots: int) -> list[Waypoints]:
+    """A position for each robot, of one for all or one for each; further numbers of each are left out."""
+    points = np.atleast_2d(np.asarray(given, float))[:, :2]
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise ValueError(f"{name}: got {given}; allowed: x and y in metres")
+    if len(points) not in (1, robots):
+        raise ValueError(f"{name}: got {len(points)} positions; allowed: one, or one for each robot")
+    return list(np.broadcast_to(points, (robots, 2)).copy())

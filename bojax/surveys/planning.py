@@ -202,14 +202,14 @@ def lawnmower_guesses(
     demand: Demand,
     sampling: float,
     number: int,
-) -> dict[str, np.ndarray]:
-    """The lawnmowers of one robot that are expected to leave the least error, at most `number` of them.
+) -> dict[str, tuple[np.ndarray, ...]]:
+    """The lawnmowers that are expected to leave the least error, one of each robot, at most `number` of them.
 
     Args:
         posterior: Belief about the field.
-        area: The area; the part of it with the start counts.
+        area: The area.
         region: Part of it where they are driven and errors count; None for all of it.
-        demand: Budget and ends.
+        demand: Budget and ends; the part of the area with the first robot's start counts.
         sampling: Distance between two measurements, m.
         number: Largest number.
 
@@ -217,13 +217,13 @@ def lawnmower_guesses(
         ValueError: The budget does not reach from the start to the end.
     """
     assert demand.budget is not None
-    ground = Ground.of(area, demand.start)
+    ground = Ground.of(area, demand.starts[0])
     ground = ground if region is None else ground_within(ground, region)
     errors = PointErrors.of(posterior, jnp.asarray(counted_points(area, region, NUM_GRID)))
-    outcomes = _Outcomes(errors, sampling, demand.budget, 1)
+    outcomes = _Outcomes(errors, sampling, demand.budget, demand.robots)
     routes, _ = _lawnmowers(ground, 0.0, demand)
     found = [outcomes.of("lawnmower", detail, route)[0] for detail, route in routes]
-    return {each.name: each.routes[0] for each in sorted(found, key=lambda each: each.error)[:number]}
+    return {each.name: each.routes for each in sorted(found, key=lambda each: each.error)[:number]}
 
 
 def _optimised(

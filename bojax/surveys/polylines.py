@@ -39,13 +39,25 @@ def with_waypoints(route: Waypoints, number: int) -> Waypoints:
     return np.concatenate([*pieces, route[-1:]])
 
 
+def distance_to(position: np.ndarray, route: Waypoints) -> float:
+    """Distance of a position `[2]` from a polyline, which may be a single point."""
+    nearest = route if len(route) == 1 else _nearest_of_pieces(position, route)[0]
+    return float(np.linalg.norm(nearest - position, axis=1).min())
+
+
 def rest_of(route: Waypoints, position: np.ndarray) -> Waypoints:
     """A position `[2]`, and the part of a polyline that lies ahead of its point nearest to it."""
-    driven, begins, ways = driven_at(route), route[:-1], np.diff(route, axis=0)
-    squared = np.maximum(np.sum(ways**2, axis=1), np.finfo(float).tiny)
-    share = np.clip(np.sum((position - begins) * ways, axis=1) / squared, 0.0, 1.0)
-    nearest = begins + share[:, None] * ways
+    driven = driven_at(route)
+    nearest, share = _nearest_of_pieces(position, route)
     piece = int(np.argmin(np.linalg.norm(nearest - position, axis=1)))
     at = driven[piece] + share[piece] * (driven[piece + 1] - driven[piece])
     is_ahead = (driven > at) | (np.arange(len(route)) == len(route) - 1)
     return np.concatenate([position[None], route[is_ahead]])
+
+
+def _nearest_of_pieces(position: np.ndarray, route: Waypoints) -> tuple[Waypoints, np.ndarray]:
+    """The point of each piece that is nearest to a position, and the share of the piece before it."""
+    begins, ways = route[:-1], np.diff(route, axis=0)
+    squared = np.maximum(np.sum(ways**2, axis=1), np.finfo(float).tiny)
+    share = np.clip(np.sum((position - begins) * ways, axis=1) / squared, 0.0, 1.0)
+    return begins + share[:, None] * ways, share

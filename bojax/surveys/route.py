@@ -137,7 +137,7 @@ def plan_route(
 def plan_routes(
     posterior: GaussianProcess,
     area: Area,
-    budget: float,
+    budget: float | Sequence[float],
     starts: Sequence[Any],
     ends: Sequence[Any],
     first_guesses: Mapping[str, Sequence[Any]] | None = None,
@@ -147,6 +147,7 @@ def plan_routes(
     weight: Any = None,
     target: Area | None = None,
     separation: float = 0.0,
+    others: Sequence[Waypoints] = (),
     options: RouteOptions | None = None,
 ) -> Routes:
     """The routes of several robots that leave the least expected error together, as `plan_route`.
@@ -154,7 +155,7 @@ def plan_routes(
     Args:
         posterior: As of `plan_route`.
         area: As of `plan_route`.
-        budget: Maximum length of each route, m.
+        budget: Maximum length of all routes, or of each robot's, m.
         starts: Fixed start of each robot, m; None for a free one.
         ends: Fixed end of each robot, m; None for a free one.
         first_guesses: Routes of all robots by name.
@@ -162,8 +163,9 @@ def plan_routes(
         spacing: As of `plan_route`.
         weight: As of `plan_route`.
         target: As of `plan_route`.
-        separation: Least distance of two robots that have driven equally far, m, except at the first and the
-            last `separation` metres of their routes, so that they may share a mooring.
+        separation: Least distance of two robots that have driven equally far, m, as of `least_distance`:
+            robots may share a mooring.
+        others: Routes of robots that are on their way already, from which the separation is kept.
         options: As of `plan_route`.
 
     Raises:
@@ -173,16 +175,17 @@ def plan_routes(
     dtype = posterior.y.dtype
     starts = [_end("start", at, area) for at in starts]
     ends = [_end("end", at, area) for at in ends]
-    for start, end in zip(starts, ends, strict=True):
-        _check(budget, spacing, start, end)
+    budgets = np.broadcast_to(budget, len(starts)).tolist()
+    for own, start, end in zip(budgets, starts, ends, strict=True):
+        _check(own, spacing, start, end)
     key = jax.random.key(0) if key is None else key
     random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     given = {
-        name: [fitted(each, budget, *pair) for each, *pair in zip(guess, starts, ends, strict=True)]
+        name: [fitted(each, *limits) for each, *limits in zip(guess, budgets, starts, ends, strict=True)]
         for name, guess in (first_guesses or {}).items()
     }
     points, scored = (counted_points(area, target, number) for number in (NUM_GRID, NUM_SCORED))
-    guesses = given | _own_guesses(points, budget, starts, ends, options.restarts - len(given), random)
+    guesses = given | _own_guesses(points, budgets, starts, ends, options.restarts - len(given), random)
 
     maps = jnp.asarray(plausible_maps(options), dtype)
     descent, final = (_models(posterior, jnp.asarray(grid, dtype), maps, weight) for grid in (points, scored))
@@ -197,11 +200,11 @@ def plan_routes(
     first = np.stack(
         [[with_waypoints(each, options.waypoints) for each in guess] for guess in guesses.values()]
     )
-    step, rate = (jnp.asarray(x, dtype) for x in (budget / number, options.rate * size))
+    step, rate = (jnp.asarray(x, dtype) for x in (max(budgets) / number, options.rate * size))
     routes = descend(
         jnp.asarray(first, dtype),
         fixed,
-        jnp.asarray(budget, dtype),
+        jnp.asarray(budgets[0] if len(budgets) == 1 else budget, dtype),
         descent,
         limits,
         step,
@@ -214,20 +217,25 @@ def plan_routes(
     candidates = {
         name: together
         for name, together in (given | found).items()
-        if all(length_of(each) <= budget * (1.0 + ROUNDING) and stays_inside(each, area) for each in together)
+        if all(
+            length_of(each) <= own * (1.0 + ROUNDING) and stays_inside(each, area)
+            for each, own in zip(together, budgets, strict=True)
+        )
     }
     if not candidates:
         raise ValueError(
-            f"route: none of {len(found)} routes of {budget:g} m stays in the area; allowed: a larger "
+            f"route: none of {len(found)} routes of {max(budgets):g} m stays in the area; allowed: a larger "
             f"budget, or a first guess that does"
         )
     if separation > 0.0:
-        candidates = {name: each for name, each in candidates.items() if keep_separation(each, separation)}
+        candidates = {
+            name: each for name, each in candidates.items() if keep_separation(each, separation, others)
+        }
     if not candidates:
         raise ValueError(
             f"separation: got {separation:g} m, which no candidate keeps; allowed: a smaller one"
         )
-    return _best(candidates, final, budget, spacing, options.waypoints, dtype)
+    return _best(candidates, final, max(budgets), spacing, options.waypoints, dtype)
 
 
 def samples_of_each(num_robots: int) -> int:
@@ -297,19 +305,19 @@ def plausible_maps(options: RouteOptions) -> np.ndarray:
     return np.array(maps)
 
 
-def _own_guesses(points, budget, starts, ends, number, random) -> dict[str, list[Waypoints]]:
+def _own_guesses(points, budgets, starts, ends, number, random) -> dict[str, list[Waypoints]]:
     """Parallel lines in several directions, then tours, in a strip for each robot; at most `number`."""
     guesses = {}
     for index in range(max(number, 0)):
         angle = np.pi * (index % DIRECTIONS) / DIRECTIONS
         strips = split_points(points, len(starts), angle, starts, ends)
-        together = list(zip(strips, starts, ends, strict=True))
+        together = list(zip(strips, budgets, starts, ends, strict=True))
         if index < DIRECTIONS:
             name = f"lines at {np.degrees(angle):.0f} degrees"
-            guesses[name] = [parallel_lines(strip, angle, budget, at, to) for strip, at, to in together]
+            guesses[name] = [parallel_lines(strip, angle, own, at, to) for strip, own, at, to in together]
             continue
         name = f"tour {index - DIRECTIONS + 1}"
-        guesses[name] = [tour(strip, _stops(strip, budget), at, to, random) for strip, at, to in together]
+        guesses[name] = [tour(strip, _stops(strip, own), at, to, random) for strip, own, at, to in together]
     return guesses
 
 

@@ -4,6 +4,8 @@ A goal that depends on values has many local optima, one for each order of the p
 the search compares whole tours, which a descent from evenly spread lines would not reach.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -18,14 +20,18 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal
 from bojax.surveys.guesses import tour
 from bojax.surveys.lawnmower import Ground, cut, joined
-from bojax.surveys.polylines import Waypoints, length_of, points_along
+from bojax.surveys.polylines import Waypoints, distance_to, length_of, points_along
 from bojax.surveys.route import NUM_SCORED, Route, spread_points, stays_inside
+from bojax.surveys.team import FAN, keep_separation
 
 NUM_SAMPLES = 40
 """Samples of a route while it is compared; each stands for several measurements, or for a part of one."""
 
 NUM_TOURS, NUM_KEPT = 48, 3
 """Tours that are drawn, and the number of the best routes that are changed."""
+
+NUM_BATCHES = 4
+"""Times that tours are drawn, if none before can be driven."""
 
 NUM_ROUNDS, NUM_CHANGES = 13, 10
 """Rounds of changes, and changes of each route in a round."""
@@ -95,6 +101,8 @@ class Search:
         spacing: float,
         ways: Ways,
         random: np.random.Generator,
+        others: Sequence[Waypoints] = (),
+        separation: float = 0.0,
     ):
         """Prepare the search.
 
@@ -108,6 +116,8 @@ class Search:
             spacing: Distance between two measurements, m.
             ways: Ways between two points in the area.
             random: Generator of tours and changes.
+            others: Routes of other robots, whose samples count as taken.
+            separation: Least distance from them, m, as of `least_distance`.
         """
         x_min, y_min, x_max, y_max = area.bounds
         self._size = max(x_max - x_min, y_max - y_min)
@@ -118,21 +128,42 @@ class Search:
         self._mean, self._covariance = map(np.asarray, _moments(posterior, jnp.asarray(self._points)))
         self._step = budget / NUM_SAMPLES
         self._noise = float(posterior.noise_variance) * spacing / self._step
+        self._others, self._separation = others, separation
+        for other in others:
+            self._covariance = self._after(other)
         weights = goal.weights(self._mean, np.sqrt(np.maximum(self._covariance.diagonal(), 0.0)))
         # Some stops are drawn evenly: a single likely place would leave no way to use the budget.
         self._shares = 0.9 * weights / weights.sum() + 0.1 / len(weights)
+
+    def _after(self, other: Waypoints) -> np.ndarray:
+        """The covariance after the samples of another robot, moved to the nearest points; means stay."""
+        distances = self._step * np.arange(1, int(length_of(other) / self._step) + 1)
+        gaps, at = self._tree.query(points_along(other, distances).reshape(-1, 2))
+        at = np.asarray(at)[gaps < self._size / 20.0]  # not in another part of the area
+        across = self._covariance[at]
+        joint = across[:, at] + self._noise * np.eye(len(at))
+        return self._covariance - across.T @ np.linalg.solve(joint, across)
 
     def route(self, earlier: Waypoints | None = None) -> Route:
         """The best route that is found, from the rest of an earlier plan, if there is one, and from tours.
 
         Raises:
-            ValueError: No tour stays in the area.
+            ValueError: No tour stays in the area, or none keeps the separation.
         """
         drawn = [] if earlier is None else [("earlier plan", earlier)]
-        drawn += [(f"tour {index + 1}", self._tour()) for index in range(NUM_TOURS)]
-        found = [(name, route) for name, stops in drawn if (route := self._within(stops)) is not None]
-        if not found:
-            raise ValueError("route: no tour stays in the area; allowed: an area in one part")
+        for batch in range(NUM_BATCHES):
+            first = 1 + NUM_TOURS * batch
+            drawn += [(f"tour {number}", self._tour()) for number in range(first, first + NUM_TOURS)]
+            found = [(name, route) for name, stops in drawn if (route := self._within(stops)) is not None]
+            if found:
+                break
+            drawn = []
+        else:
+            raise ValueError(
+                "route: no tour stays in the area; allowed: an area in one part"
+                if self._separation == 0.0
+                else f"separation: got {self._separation:g} m, which no tour keeps; allowed: a smaller one"
+            )
         errors = self._errors_after([route for _, route in found])
         candidates = {name: float(error) for (name, _), error in zip(found, errors, strict=True)}
         best = np.argsort(errors, kind="stable")[:NUM_KEPT]
@@ -164,7 +195,14 @@ class Search:
         """A short tour through likely stops, of a random number."""
         most = 2 + int(self._budget / (STOP_DISTANCE * self._size))
         stops = np.unique(self._stops(int(self._random.integers(1, most + 1))), axis=0)
-        return tour(stops, len(stops), self._start, None, self._random)
+        route = tour(stops, len(stops), self._start, None, self._random)
+        together = [other for other in self._others if distance_to(self._start, other[:1]) < self._separation]
+        if not together:
+            return route
+        # From a common start, robots leave in directions of their own.
+        angle = 2.0 * np.pi * self._random.random()
+        aside = self._start + FAN * self._separation * np.array([np.cos(angle), np.sin(angle)])
+        return np.insert(route, 1, aside, axis=0)
 
     def _changed(self, route: Waypoints, reach: float) -> Waypoints:
         """The route with a stop less, more or moved; the start stays."""
@@ -179,7 +217,10 @@ class Search:
         return moved
 
     def _within(self, stops: Waypoints) -> Waypoints | None:
-        """The route through stops, and more of them until the budget is used; None if it leaves the area."""
+        """The route through stops, and more of them until the budget is used.
+
+        It is None if it leaves the area, or comes too close to another robot.
+        """
         if not self._area.contains(stops[1:]).all():
             return None
         try:
@@ -188,9 +229,10 @@ class Search:
                 if length_of(route) >= self._budget:
                     break
                 route = np.concatenate([route, joined([route[-1:], self._stops(1)], self._ways)[1:]])
-            return cut(route, self._budget, self._end, self._ways)
+            route = cut(route, self._budget, self._end, self._ways)
         except ValueError:  # no way joins two stops
             return None
+        return route if keep_separation([route], self._separation, self._others) else None
 
     def _stops(self, number: int) -> Waypoints:
         return self._points[self._random.choice(len(self._points), number, p=self._shares)]

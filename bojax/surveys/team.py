@@ -8,7 +8,13 @@ import numpy as np
 
 from bojax.areas.shapes import shapely_module
 from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within
-from bojax.surveys.polylines import Waypoints, length_of, points_along
+from bojax.surveys.polylines import Waypoints, distance_to, driven_at, length_of, points_along
+
+MOST_ROBOTS = 4
+"""Largest number of robots that are planned together."""
+
+FAN = 2.0
+"""Separations that robots drive to come apart from a common start: four from a corner, 30 degrees apart."""
 
 Point = np.ndarray | None
 """An end of a route, m; None if it is free."""
@@ -83,22 +89,35 @@ def split_points(
     return [strips[index] for index in _assigned(middles, starts, ends)]
 
 
-def least_distance(routes: Sequence[Waypoints], apart_from_ends: float = 0.0) -> float:
+def least_distance(routes: Sequence[Waypoints], separation: float = 0.0) -> float:
     """Least distance of two robots that drive equally fast, m; infinite for one.
 
-    The first and the last `apart_from_ends` metres do not count; a robot stays where its route ends.
+    A robot stays where its route ends. If two robots start closer than the separation, as at a mooring,
+    the first `FAN` separations of their routes do not count; if they end closer, nor do the last ones.
     """
-    least, longest = math.inf, max(map(length_of, routes))
-    distances = np.linspace(apart_from_ends, max(longest - apart_from_ends, apart_from_ends), 1000)
-    for first, second in itertools.combinations(routes, 2):
-        apart = np.linalg.norm(points_along(first, distances) - points_along(second, distances), axis=1)
-        least = min(least, float(apart.min()))
-    return least
+    return min(
+        (_distance_of(*pair, separation) for pair in itertools.combinations(routes, 2)), default=math.inf
+    )
 
 
-def keep_separation(routes: Sequence[Waypoints], separation: float) -> bool:
-    """Whether robots stay apart but for the first and the last `separation` metres of their routes."""
-    return least_distance(routes, separation) >= separation
+def _distance_of(first: Waypoints, second: Waypoints, separation: float) -> float:
+    starts_together, ends_together = (
+        float(np.linalg.norm(first[index] - second[index])) < separation for index in (0, -1)
+    )
+    longest = max(length_of(first), length_of(second))
+    begin = FAN * separation if starts_together else 0.0
+    end = max(longest - FAN * separation, begin) if ends_together else longest
+    # Between two corners of either route, both robots move along straight lines.
+    corners = np.concatenate([[begin, end], driven_at(first), driven_at(second)])
+    distances = np.unique(np.clip(corners, begin, end))
+    apart = points_along(first, distances) - points_along(second, distances)
+    return distance_to(np.zeros(2), apart)
+
+
+def keep_separation(routes: Sequence[Waypoints], separation: float, others: Sequence[Waypoints] = ()) -> bool:
+    """Whether robots stay a separation apart, and away from other ones, see `least_distance`."""
+    together = [*itertools.combinations(routes, 2), *itertools.product(routes, others)]
+    return all(least_distance(pair, separation) >= separation * (1.0 - 1e-9) for pair in together)
 
 
 def _assigned(middles: np.ndarray, starts: Sequence[Point], ends: Sequence[Point]) -> Sequence[int]:
