@@ -90,6 +90,8 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             place = place.noted(f"All places count alike: {reason}nothing tells them apart for this goal.")
         if not keep_separation(survey.chosen.routes, args.separation):
             place = place.noted(f"No lawnmowers keep a separation of {args.separation:g} m.")
+        if args.robots > 1:
+            place = place.noted("simulation-N.yaml has robot N alone, without what others measure.")
         for note in place.notes:
             print(f"note: {note}")
         files = write_survey(out, place, model, survey, demand, args.speed, command)
@@ -158,7 +160,7 @@ def _parser(name: str) -> Parser:
     parser.option("--end", "X,Y", "last point (default: free)", _point, action="append", default=[])
     robots = "robots that survey at once, 1 to 4; --start and --end are for all, or repeated for each"
     parser.option("--robots", "N", robots, integer, default=1, choices=range(1, 5))
-    apart = "least distance of two robots at equal times, but for the first and last M metres (default: any)"
+    apart = "least distance of two robots at equal times, but for 2 M metres at a common start or end"
     parser.option("--separation", "M", apart, _positive, default=0.0)
     avoid = "no-go zones: polygons, or a raster with data in them; may be repeated"
     parser.option("--avoid", "FILE", avoid, action="append", default=[])

@@ -11,8 +11,8 @@ from bojax.areas.shapes import rings_of, to_shape
 from bojax.results.store import make_folder, write_arrays, write_json
 from bojax.surveys.model import FieldModel
 from bojax.surveys.planning import Candidate, Demand, Survey
-from bojax.surveys.simulated import write_simulation
-from bojax.surveys.team import least_distance
+from bojax.surveys.simulated import robot_stem, write_simulation
+from bojax.surveys.team import FAN, least_distance
 from bojax.surveys.waypoints import write_waypoints
 
 
@@ -35,8 +35,8 @@ def write_survey(
     """
     make_folder(folder)
     files = []
-    for number, route in enumerate(survey.chosen.routes, start=1):
-        stem = "waypoints" if demand.robots == 1 else f"waypoints-{number}"
+    for robot, route in enumerate(survey.chosen.routes):
+        stem = robot_stem("waypoints", robot, demand.robots)
         files += write_waypoints(folder, route, place.projection, speed, stem)
     rings = rings_of(to_shape(place.area))
     arrays = {
@@ -88,7 +88,9 @@ def _settings(
         apart = least_distance(chosen.routes, demand.separation)
         rows["robots"] = f"{demand.robots}, each with the budget"
         rows["least distance of two robots"] = f"{apart:.4g} m at equal times" + (
-            f", but for the first and last {demand.separation:g} m" if demand.separation else ""
+            f", but for {FAN * demand.separation:g} m from a common start or to a common end"
+            if demand.separation
+            else ""
         )
     if survey.lines is not None:
         rows["distance between lines"] = f"{survey.lines:.4g} m"

@@ -15,11 +15,10 @@ from bojax.results.store import write_content
 from bojax.surveys.lawnmower import Ground
 from bojax.surveys.model import FieldModel
 from bojax.surveys.planning import Demand, Survey
+from bojax.surveys.polylines import length_of
 
-CONFIG, SWEEP, FIELD, AREA, LAWNMOWER = (
-    "simulation.yaml", "planners.yaml", "field.csv", "area.geojson", "lawnmower.csv"
-)  # fmt: skip
-"""The config, the comparison of planners, the field, the area in its metres, and the best lawnmower."""
+FIELD, AREA = "field.csv", "area.geojson"
+"""The field, and the area in its metres."""
 
 RESOLUTION = OutlinedArea.model_fields["resolution"].default
 
@@ -31,8 +30,15 @@ PATH_SAMPLES = 5
 
 _COMMENT = """\
 # bojax run simulates this survey: the same area, budget and ends. Lengths are in metres, so that another
-# planner needs its settings as well; planners.yaml beside this file has those of several.
+# planner needs its settings as well; {planners} beside this file has those of several.
 """
+
+_ALONE = """\
+# A run has one robot: what the others of this survey measure does not count in it.
+"""
+
+ROUNDING = 1e-6
+"""Room beyond the domain, as a share of its longer side: a drive to an end on the border is rounded."""
 
 ROOM = 1.5
 """Paths for which there is room, relative to those that use the budget: walls and borders shorten some."""
@@ -41,26 +47,47 @@ ROOM = 1.5
 def write_simulation(
     folder: Path, place: Place, model: FieldModel, survey: Survey, demand: Demand
 ) -> list[Path]:
-    """Write the config, the sweep and their files, and return the paths of both; none for several robots.
+    """Write a config and a sweep for each robot, and their files; return the paths of configs and sweeps.
 
     Without an earlier survey, the field is one that the model draws; with one, it is what the earlier survey
-    makes the model expect.
+    makes the model expect. A run has one robot, which does not know what others measure.
     """
-    if demand.robots > 1:
-        return []
-    bounds, route = place.area.bounds, survey.chosen.routes[0]
-    rows = [",".join(f"{value:.6g}" for value in row) for row in _values(model, bounds)]
+    rows = [",".join(f"{value:.6g}" for value in row) for row in _values(model, place.area.bounds)]
     write_content(folder / FIELD, "\n".join(rows) + "\n")
-    write_content(folder / AREA, _geojson(Ground.of(place.area, route[0]).rings))
-    lines = [f"{x:.3f},{y:.3f}" for x, y in survey.lawnmower.routes[0]]
-    write_content(folder / LAWNMOWER, "\n".join(["x,y", *lines, ""]))
-    length = demand.budget or survey.chosen.length
+    write_content(folder / AREA, _geojson(Ground.of(place.area, survey.chosen.routes[0][0]).rings))
+    return [
+        file
+        for robot in range(demand.robots)
+        for file in _write_robot(folder, place, model, survey, demand, robot)
+    ]
+
+
+def robot_stem(name: str, robot: int, robots: int) -> str:
+    """The name of a file of a robot without its ending: with the robot's number if there are several."""
+    return name if robots == 1 else f"{name}-{robot + 1}"
+
+
+def _write_robot(
+    folder: Path, place: Place, model: FieldModel, survey: Survey, demand: Demand, robot: int
+) -> list[Path]:
+    """Write the best lawnmower of a robot, a config of its survey and a sweep over planners on it."""
+    bounds, route, end = place.area.bounds, survey.chosen.routes[robot], demand.ends[robot]
+    mower, config, sweep_file, waypoints = (
+        folder / f"{robot_stem(name, robot, demand.robots)}{ending}"
+        for name, ending in (
+            ("lawnmower", ".csv"), ("simulation", ".yaml"), ("planners", ".yaml"), ("waypoints", ".csv")
+        )
+    )  # fmt: skip
+    lines = [f"{x:.3f},{y:.3f}" for x, y in survey.lawnmower.routes[robot]]
+    write_content(mower, "\n".join(["x,y", *lines, ""]))
+    length = demand.budget or length_of(route)
     path = min(model.lengthscale, length / 2.0)
     first = next((each for each in route[1:] - route[0] if np.any(each != 0.0)), np.ones(2))
     heading = math.atan2(first[1], first[0])
     origin = "what the earlier survey expects" if model.seen is not None else "a draw from the model"
-    title = f"Simulated survey of {Path(place.name).name}, on {origin}"
-    planners = _planners(folder, path, model.std)
+    of = f" by robot {robot + 1} of {demand.robots} alone" if demand.robots > 1 else ""
+    title = f"Simulated survey of {Path(place.name).name}{of}, on {origin}"
+    planners = _planners(waypoints, mower, path, model.std)
     loss = -PATH_SAMPLES * model.std
     content: dict[str, Any] = {
         "title": title,
@@ -68,9 +95,10 @@ def write_simulation(
             "kind": "monitoring",
             "field": {"kind": "grid", "file": str(folder / FIELD), "extent": list(bounds)},
             "domain": list(bounds),
+            "margin": ROUNDING * max(bounds[2] - bounds[0], bounds[3] - bounds[1]),
             "area": {"kind": "outline", "file": str(folder / AREA), "checks": _checks(bounds, path)},
             "start": [*route[0].tolist(), heading],
-            **({} if demand.end is None else {"end": demand.end.tolist()}),
+            **({} if end is None else {"end": end.tolist()}),
             "objective": "uncertainty",
             "mean": {"kind": "constant", "value": model.mean},
             "kernel": {
@@ -86,16 +114,17 @@ def write_simulation(
             "max_steps": math.ceil(ROOM * length / path),
             "errors_by_step": True,
         },
-        "planner": planners["sbo"],
+        "planner": planners["sbo" if demand.robots == 1 else "route"],
         "runs": 8,
     }
-    write_content(folder / CONFIG, _COMMENT + dump(content))
-    sweep = {"title": title, "base": CONFIG, "axes": {"planner": planners}, "runs": 8}
-    write_content(folder / SWEEP, "# bojax sweep compares planners on this survey.\n" + dump(sweep))
-    return [folder / CONFIG, folder / SWEEP]
+    comment = _COMMENT.format(planners=sweep_file.name) + (_ALONE if demand.robots > 1 else "")
+    write_content(config, comment + dump(content))
+    sweep = {"title": title, "base": config.name, "axes": {"planner": planners}, "runs": 8}
+    write_content(sweep_file, "# bojax sweep compares planners on this survey.\n" + dump(sweep))
+    return [config, sweep_file]
 
 
-def _planners(folder: Path, path: float, std: float) -> dict[str, dict[str, Any]]:
+def _planners(waypoints: Path, mower: Path, path: float, std: float) -> dict[str, dict[str, Any]]:
     """Settings of planners whose paths have a length, in metres, on a field with a standard deviation."""
     pieces = {"length": path, "num_samples": PATH_SAMPLES}
     search = {"iterations": 100, "exploration": 10.0 * std}
@@ -104,8 +133,8 @@ def _planners(folder: Path, path: float, std: float) -> dict[str, dict[str, Any]
         return {"motions": {"kind": kind, **more, **pieces}}
 
     return {
-        "route": {"kind": "route", "file": str(folder / "waypoints.csv"), **pieces},
-        "lawnmower": {"kind": "route", "file": str(folder / LAWNMOWER), **pieces},
+        "route": {"kind": "route", "file": str(waypoints), **pieces},
+        "lawnmower": {"kind": "route", "file": str(mower), **pieces},
         "kcbts": {"kind": "kcbts", **search, **motions("kernel")},
         "cbts": {"kind": "cbts", **search, **motions("cubic")},
         "sbo": {"kind": "sbo", **search, **motions("splines", actions=9)},

@@ -300,3 +300,27 @@ def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
     expected = json.loads((out / "survey.json").read_text())["candidates"][0]["errors"][-1]
     mean_std = pq.read_table(runs / "lawnmower" / "runs.parquet").to_pydict()["mean_std"]
     assert mean_std == pytest.approx([expected] * 2, rel=0.02)
+
+
+def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
+    out = tmp_path / "survey"
+    words = ["--budget", "500", "--lengthscale", "60", "--robots", "2", "--separation", "20", "--lawnmower"]
+    ends = ["--start", "0,0", "--start", "300,0", "--end", "150,0"]
+    assert main(["survey", "300x200", *words, *ends, "--out", str(out)]) == 0
+    assert (
+        "note: simulation-N.yaml has robot N alone, without what others measure." in capsys.readouterr().out
+    )
+    for number, start in ((1, [0.0, 0.0]), (2, [300.0, 0.0])):
+        config = out / f"simulation-{number}.yaml"
+        assert "what the others of this survey measure does not count" in config.read_text()
+        content = read_mapping(config, "")
+        assert f"by robot {number} of 2 alone" in content["title"]
+        assert content["problem"]["start"][:2] == start and content["problem"]["end"] == [150.0, 0.0]
+        assert content["planner"]["file"] == str(out / f"waypoints-{number}.csv")
+        for point in load_sweep(str(out / f"planners-{number}.yaml")).points:
+            build(point.config)
+        runs = tmp_path / f"runs-{number}"
+        assert main(["run", str(config), "--runs", "1", "--out", str(runs)]) == 0
+        found, steps = (pq.read_table(runs / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
+        assert found["success"] == [True] and found["collisions"] == [0] and found["exits"] == [0]
+        assert max(steps["distance"]) <= 500.0 + 1e-6
