@@ -97,7 +97,7 @@ class Goal:
         least = np.finfo(float).tiny
         if self.kind == "hotspots":
             moved = np.sqrt(np.maximum(explained, least))
-            u = (mean - mean.max()) / moved
+            u = np.maximum((mean - mean.max()) / moved, -40.0)  # below, nothing is gained in float64
             density = np.exp(-0.5 * u**2) / math.sqrt(2.0 * math.pi)
             squared = moved**2 * ((1.0 + u**2) * ndtr(u) + u * density)
             return -np.sqrt(np.maximum(squared, 0.0).mean(axis=-1))

@@ -81,3 +81,12 @@ def test_losses_without_knowledge_fall_with_the_variance_that_is_explained():
     np.testing.assert_allclose(
         Goal().loss(mean, variance, explained) ** 2, 1.0 - explained.mean(axis=1), rtol=1e-12
     )
+
+
+@pytest.mark.parametrize("kind", ["hotspots", "threshold"])
+def test_a_place_of_which_samples_tell_nothing_counts_for_nothing(kind):
+    mean, variance = np.array([0.0, 3.0, -2.0]), np.ones(3)
+    explained = np.array([[0.2, 0.3, 0.0], [0.2, 0.3, 1e-300]])
+    with np.errstate(over="ignore"):
+        none, hardly = Goal(kind, threshold=1.0).loss(mean, variance, explained)
+    assert np.isfinite(none) and none == hardly

@@ -6,6 +6,7 @@ has made, and for the empty square those of a lawnmower that begins at the neare
 
 import json
 import time
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -81,16 +82,32 @@ def map_routes(field: Field, length: float, index: int) -> tuple[dict[str, Waypo
     return routes, seconds
 
 
-def adaptive_route(field: Field, length: float, index: int, goal: str) -> Waypoints:
-    """The route of a `Mission` with a goal, which is planned anew every `LEG` from what it has measured."""
+def adaptive_route(
+    field: Field,
+    length: float,
+    index: int,
+    goal: str,
+    leg_length: float = LEG,
+    changed: Callable[[Mission, Waypoints], Waypoints] = lambda mission, plan: plan,
+) -> Waypoints:
+    """The route of a `Mission` with a goal, which is planned anew on the way from what it has measured.
+
+    Args:
+        field: The field.
+        length: Length of the route.
+        index: Number of the start.
+        goal: The goal.
+        leg_length: Distance that is driven before it is planned anew.
+        changed: Changes a plan, from the position on, before it is driven.
+    """
     part = surveyed(field.area)
     start = start_of(part, index)
     mission = Mission(part, length, start, spacing=SPACING, goal=goal)
     mission.hyperparameters = LENGTHSCALE, VARIANCE, NOISE_VARIANCE
     noise, route = noises(length, index), start[None]
     while (driven := length_of(route)) < length - 0.5 * SPACING:
-        ahead = np.concatenate([route[-1:], mission.plan()])
-        leg = fitted(ahead, min(LEG, length - driven), None, None)
+        ahead = changed(mission, np.concatenate([route[-1:], mission.plan()]))
+        leg = fitted(ahead, min(leg_length, length - driven), None, None)
         if length_of(leg) == 0.0:
             break
         route, taken = np.concatenate([route, leg[1:]]), mission.num_measurements
