@@ -86,7 +86,9 @@ class Tree(Search):
         left = np.maximum(variance - first, 1e-9 * variance)
         more = np.maximum(explained - first, 0.0)
         with np.errstate(over="ignore"):  # in exponentials of places that nothing is learned of
-            return np.stack([self._goal.loss(mean, left, more) for mean in means])
+            # What the first part gains counts as well: the highest mean is that before it.
+            highest = self._mean[::THINNING].max()
+            return np.stack([self._goal.loss(mean, left, more, highest) for mean in means])
 
     def _samples(self, route: Waypoints) -> np.ndarray:
         """Indices of the points nearest to the samples of a route."""

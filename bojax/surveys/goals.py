@@ -75,7 +75,9 @@ class Goal:
             weights = np.ones(len(mean))
         return weights if weights.max() > 0.0 else np.ones(len(mean))
 
-    def loss(self, mean: np.ndarray, variance: np.ndarray, explained: np.ndarray) -> np.ndarray:
+    def loss(
+        self, mean: np.ndarray, variance: np.ndarray, explained: np.ndarray, highest: float | None = None
+    ) -> np.ndarray:
         """What samples are expected to leave undone, for each of `R` sets of them.
 
         Before the samples, the mean m' that they will leave at a place is normal: around the mean m of now,
@@ -93,11 +95,13 @@ class Goal:
             mean: Means `[M]` of places that are spread evenly.
             variance: Variances `[M]` there.
             explained: Reductions `[R, M]` of these variances by each set of samples.
+            highest: The mean that hot spots improve on; the highest of these means by default.
         """
         least = np.finfo(float).tiny
         if self.kind == "hotspots":
             moved = np.sqrt(np.maximum(explained, least))
-            u = np.maximum((mean - mean.max()) / moved, -40.0)  # below, nothing is gained in float64
+            highest = mean.max() if highest is None else highest
+            u = np.maximum((mean - highest) / moved, -40.0)  # below, nothing is gained in float64
             density = np.exp(-0.5 * u**2) / math.sqrt(2.0 * math.pi)
             squared = moved**2 * ((1.0 + u**2) * ndtr(u) + u * density)
             return -np.sqrt(np.maximum(squared, 0.0).mean(axis=-1))
