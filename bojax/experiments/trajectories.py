@@ -10,6 +10,8 @@ from typing_extensions import override
 
 from bojax.experiments.base import Experiment, Records
 from bojax.motions.base import DiscreteMotions, Motions
+from bojax.motions.kernel_effects import kernel_effects
+from bojax.motions.kernel_trajectories import KernelTrajectories
 from bojax.numerics.angles import wrap_to_pi
 from bojax.results.schema import Column, Table
 
@@ -29,7 +31,8 @@ class Gallery(eqx.Module):
 class TrajectoryGallery(Experiment):
     """All paths of a discrete set, or a grid over the parameters of a continuous family.
 
-    A run also draws one path at random, as the random planner does, and measures its turns.
+    A run also draws one path at random, as the random planner does, and measures its turns, and for kernel
+    trajectories what each of the two kernels changes.
 
     Settings: `bojax.experiments.settings.Trajectories`.
     """
@@ -40,7 +43,8 @@ class TrajectoryGallery(Experiment):
     @property
     @override
     def tables(self) -> Mapping[str, Table]:
-        return {"runs": _RUN_COLUMNS}
+        has_kernels = isinstance(self.motions, KernelTrajectories)
+        return {"runs": _RUN_COLUMNS + (_KERNEL_COLUMNS if has_kernels else ())}
 
     @property
     @override
@@ -62,13 +66,19 @@ class TrajectoryGallery(Experiment):
 
     @override
     def summary(self, carry: Gallery) -> dict[str, Scalar]:
-        heading = self.motions.sample(carry.key)[:, 2]
+        if isinstance(self.motions, KernelTrajectories):
+            params = self.motions.draw(carry.key)
+            path, effects = self.motions.path(params), kernel_effects(self.motions, params)
+        else:
+            path, effects = self.motions.sample(carry.key), {}
+        heading = path[:, 2]
         turns = wrap_to_pi(jnp.diff(heading)) * (heading.shape[0] / self.motions.length)
         return {
             "trajectories": jnp.asarray(self.paths().shape[0], jnp.int32),
             "curvature": jnp.sqrt(jnp.mean(turns**2)),
             "start_turn": jnp.abs(wrap_to_pi(heading[0])),
             "end_turn": jnp.abs(wrap_to_pi(heading[-1])),
+            **effects,
         }
 
     @override
@@ -89,4 +99,18 @@ _RUN_COLUMNS: Table = (
     Column("curvature", "float64", "1/m", "root mean square curvature of a random path between its poses"),
     Column("start_turn", "float64", "rad", "angle of its first pose from the heading of the robot"),
     Column("end_turn", "float64", "rad", "angle of its last pose from the heading of the robot"),
+)
+
+_EFFECT = "logarithm of the ratio of two changes of {} of that path: those by halving the lengthscale on {}"
+
+_KERNEL_COLUMNS: Table = (
+    Column("speed_by_time", "float64", "", _EFFECT.format("the speed", "time and on positions"), True),
+    Column(
+        "acceleration_by_time",
+        "float64",
+        "",
+        _EFFECT.format("the rate of change of the speed", "time and on positions"),
+        True,
+    ),
+    Column("turns_by_space", "float64", "", _EFFECT.format("the turns", "positions and on time"), True),
 )

@@ -76,10 +76,14 @@ class ContinuousMotions(eqx.Module):
     def path(self, params: Float[Array, "D"]) -> Path:
         """The path of one parameter vector."""
 
+    def draw(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+        """A parameter vector drawn uniformly from the box."""
+        shape = (self.num_params,)
+        return jax.random.uniform(key, shape, self.length.dtype, minval=-1.0, maxval=1.0)
+
     def sample(self, key: Key[Array, ""]) -> Path:
         """The path of a parameter vector drawn uniformly from the box."""
-        shape = (self.num_params,)
-        return self.path(jax.random.uniform(key, shape, self.length.dtype, minval=-1.0, maxval=1.0))
+        return self.path(self.draw(key))
 
 
 class DiscreteMotions(eqx.Module):

@@ -1,5 +1,6 @@
 """Kernel trajectories: smooth paths through anchor points by kernel Bayes' rule (Sections 4.5-4.6)."""
 
+from collections.abc import Callable
 from typing import Literal
 
 import equinox as eqx
@@ -75,6 +76,10 @@ class KernelTrajectories(ContinuousMotions):
     @override
     @eqx.filter_jit  # traced and lowered once for all the places of a planner that need a path
     def path(self, params: Float[Array, "D"]) -> Path:
+        return sample_by_arc_length(self.curve(params), self.length, self.num_samples)
+
+    def curve(self, params: Float[Array, "D"]) -> Callable[[Float[Array, ""]], Float[Array, "2"]]:
+        """The trajectory as a function of time in [0, 1], before it is scaled to `length` (4.7)."""
         anchors = self.anchors(params)
         times = jnp.linspace(0.0, 1.0, self.num_segments + 1, dtype=params.dtype)
         space, time = RBF(self.space_lengthscale), RBF(self.time_lengthscale)
@@ -103,7 +108,7 @@ class KernelTrajectories(ContinuousMotions):
         def curve(u):
             return expected(u) - origin + u * (1.0 - u) ** 2 * misfit
 
-        return sample_by_arc_length(curve, self.length, self.num_samples)
+        return curve
 
 
 def _uniform_embedding(points: Float[Array, "N 2"], lengthscale: Float[Array, ""]) -> Float[Array, "N"]:

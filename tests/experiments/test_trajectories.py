@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.experiments.trajectories import TrajectoryGallery
+from bojax.motions.kernel_trajectories import KernelTrajectories
 from bojax.results.schema import column_names
 from tests.motions.families import all_paths, cubic, kernel, splines
 from tests.motions.families import paths_of as family_paths
@@ -33,6 +34,7 @@ def test_a_gallery_has_every_path_of_its_family(motions, levels, number):
     np.testing.assert_allclose(summary["curvature"], np.sqrt(np.mean(turns**2)), rtol=1e-9)
     np.testing.assert_allclose(summary["start_turn"], abs(path[0, 2]), rtol=1e-9)
     np.testing.assert_allclose(summary["end_turn"], abs(path[-1, 2]), rtol=1e-9)
+    assert ("speed_by_time" in summary) == isinstance(motions, KernelTrajectories)
     assert set(summary) == set(column_names(gallery.tables["runs"]))  # `jit` sorts the keys
 
 
