@@ -70,7 +70,7 @@ class RunState(eqx.Module):
     target: TargetProgress
     maps: Float[Array, "K 2 *grid"] | None
     visits: Visits | None
-    map_scores: Float[Array, "K 3"] | None
+    map_scores: Float[Array, "K 4"] | None
     counts: dict[str, Int[Array, ""]]
 
 
@@ -194,7 +194,7 @@ class LearningRun(Experiment):
         visits = map_scores = None
         if self._maps_a_plane:
             visits = Visits.none(self.map_resolution)
-            map_scores = jnp.full((len(self.map_episodes), 3), jnp.nan, self._dtype)
+            map_scores = jnp.full((len(self.map_episodes), 4), jnp.nan, self._dtype)
         return RunState(
             key=key,
             learner=learner,
@@ -262,10 +262,11 @@ class LearningRun(Experiment):
             summary["episodes_to_target"] = target.episodes
             summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
         if carry.map_scores is not None:
-            contrast, start, high = carry.map_scores.T
+            contrast, start, high, leads = carry.map_scores.T
             summary["unseen_u"] = jnp.mean(contrast)
             summary["start_u_change"] = start[-1] - start[0]
             summary["high_u_change"] = high[-1] - high[0]
+            summary["u_leads"] = jnp.mean(leads)
         return summary | carry.counts | self.learner.summary(carry.learner)
 
     @override
@@ -506,6 +507,14 @@ _MAP_COLUMNS: Table = (
         "float64",
         "",
         "change of the share of cells with a U in the upper half of the map's range, between the same maps",
+        nullable=True,
+    ),
+    Column(
+        "u_leads",
+        "float64",
+        "",
+        "share of the visited cells from which the gradient of U leads to a cell without a visit, mean over "
+        "map_episodes",
         nullable=True,
     ),
 )

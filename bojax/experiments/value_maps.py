@@ -60,11 +60,34 @@ class Visits(eqx.Module):
             self.starts.at[cells[0, 0], cells[0, 1]].max(is_step[0]),
         )
 
-    def scores(self, u: Float[Array, "R R"]) -> Float[Array, "3"]:
-        """Mean U of the unvisited cells minus that of the starting cells; the latter; share of high cells.
+    def scores(self, u: Float[Array, "R R"]) -> Float[Array, "4"]:
+        """Four numbers of a map of U.
 
-        A cell is high if its U is nearer to the largest of the map than to the least.
+        The mean of the unvisited cells minus that of the starting cells, the latter, the share of high cells,
+        and `leads`. A cell is high if its U is nearer to the largest of the map than to the least.
         """
         start = jnp.mean(u, where=self.starts)
         is_high = 2.0 * u > jnp.min(u) + jnp.max(u)
-        return jnp.stack([jnp.mean(u, where=~self.seen) - start, start, jnp.mean(is_high.astype(u.dtype))])
+        high = jnp.mean(is_high.astype(u.dtype))
+        return jnp.stack([jnp.mean(u, where=~self.seen) - start, start, high, self.leads(u)])
+
+    def leads(self, u: Float[Array, "R R"]) -> Float[Array, ""]:
+        """Share of the visited cells from which the gradient of U leads to an unvisited cell.
+
+        The gradient is followed from a cell to the one of its eight neighbours with the largest U, as long as
+        U rises.
+        """
+        resolution = u.shape[0]
+        padded = jnp.pad(u, 1, constant_values=-jnp.inf)
+        # The cell itself comes first, so that it is kept where no neighbour is higher.
+        steps = [(0, 0), *((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))]
+        around = jnp.stack([padded[1 + i : 1 + i + resolution, 1 + j : 1 + j + resolution] for i, j in steps])
+        cells = jnp.arange(resolution**2, dtype=jnp.int32)
+        offsets = jnp.asarray([i * resolution + j for i, j in steps], jnp.int32)
+        seen = self.seen.ravel()
+        following = jnp.where(seen, cells + offsets[jnp.argmax(around, axis=0).ravel()], cells)
+        # Each round doubles the number of steps, up to more than there are cells.
+        for _ in range((resolution**2).bit_length()):
+            following = following[following]
+        share = jnp.mean((~seen[following]).astype(u.dtype), where=seen)
+        return jnp.where(jnp.isnan(jnp.max(u)), jnp.nan, share)

@@ -20,6 +20,7 @@ from bojax.envs.tabular import TabularEnv
 from bojax.experiments.learning import LearningRun
 from bojax.experiments.phases import PHASES
 from bojax.experiments.settings import Learning
+from bojax.experiments.value_maps import Visits
 from bojax.learning.base import ExplorationState, Learner
 from bojax.numerics.lanes import LANES
 from bojax.results.store import ResultsError
@@ -576,7 +577,7 @@ def test_the_number_of_tests_does_not_change_what_learning_draws():
 
 def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     run = run_of(episodes=3, tests=0, map_episodes=(1, 3), map_resolution=4)
-    scores = {"unseen_u", "start_u_change", "high_u_change"}
+    scores = {"unseen_u", "start_u_change", "high_u_change", "u_leads"}
     assert not scores & {column.name for column in run.tables["runs"]}  # its observation is one number
     run = on_strip(run)
     assert scores <= {column.name for column in run.tables["runs"]}
@@ -592,9 +593,43 @@ def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     assert 1 < seen.sum()
     np.testing.assert_array_equal(carry.visits.seen[0], seen)
     np.testing.assert_array_equal(np.argwhere(carry.visits.starts[0]), [[0, 1]])
-    # U is 0.5, 1.5, 2.5 and 3.5 in the four rows of cells: two of them are high.
-    np.testing.assert_allclose(carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1], 0.5], rtol=1e-6)
+    # U is 0.5, 1.5, 2.5 and 3.5 in the four rows of cells: two of them are high. It rises out of the second.
+    np.testing.assert_allclose(
+        carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1], 0.5, 1.0], rtol=1e-6
+    )
     assert np.all(np.isnan(carry.map_scores[0, 1]))
+
+
+def climb(u: np.ndarray, seen: np.ndarray, cell: tuple[int, int]) -> bool:
+    """Whether a climb from a cell, always to the highest neighbour, meets an unvisited cell."""
+    while seen[cell]:
+        i, j = cell
+        around = [(k, m) for k in range(i - 1, i + 2) for m in range(j - 1, j + 2)]
+        around = [each for each in around if min(each) >= 0 and max(each) < len(u)]
+        best = max(around, key=lambda each: u[each])
+        if best == cell:
+            return False
+        cell = best
+    return True
+
+
+def test_the_gradient_of_a_map_leads_to_new_cells_or_to_a_known_maximum():
+    rng = np.random.default_rng(0)
+    hills = [
+        np.add.outer(-((np.arange(12) - i) ** 2), -((np.arange(12) - j) ** 2)) for i, j in ((2, 3), (9, 8))
+    ]
+    maps = [np.maximum(*hills).astype(float), *rng.normal(size=(3, 12, 12))]
+    shares = []
+    for u in maps:
+        for seen in (rng.uniform(size=u.shape) < 0.9, np.ones_like(u, bool)):
+            found = Visits(jnp.asarray(seen), jnp.asarray(seen)).leads(jnp.asarray(u))
+            expected = np.mean([climb(u, seen, tuple(cell)) for cell in np.argwhere(seen)])
+            np.testing.assert_allclose(found, expected, rtol=1e-6)
+            shares.append(expected)
+    assert 0.0 < max(shares) and shares[1::2] == [0.0] * 4  # nowhere to go once every cell is known
+    maps[0][3, 4] = np.nan  # a model that has diverged leads nowhere
+    everywhere = jnp.ones(maps[0].shape, bool)
+    assert np.isnan(Visits(everywhere, everywhere).leads(jnp.asarray(maps[0])))
 
 
 # Saved learners.
