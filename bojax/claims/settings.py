@@ -105,6 +105,11 @@ class Order(Measured, frozen=True):
         description="amount by which the mean of a name may fall short of the next; if negative, by which it "
         "has to exceed the next",
     )
+    parts: int = Field(
+        default=1,
+        ge=1,
+        description="number of equal parts of window; the order has to hold in each of them, as of curves",
+    )
     baseline: str | None = Field(
         default=None,
         description="name; margin is then a share of the lead of the next mean over the mean of this name",
@@ -122,6 +127,20 @@ class Order(Measured, frozen=True):
         _distinct(sum(self.tiers, ()), "less" if self.greater is None else "greater")
         if self.baseline is not None and not (self.margin < 1 and self.margin != 0):
             raise ValueError("margin: with a baseline it is a share of a lead, below 1 and not 0")
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _whole_parts(self) -> Self:
+        if self.parts > 1:
+            window = self.window
+            number = 0 if window is None else window.last - window.first + 1
+            if number % self.parts or number < 2 * self.parts:
+                raise ValueError(
+                    f"parts: got {self.parts}; allowed: a number that divides the episodes of window into "
+                    "parts of at least 2"
+                )
+            if window is not None and window.counted_from != "start":
+                raise ValueError("parts: needs a window that is counted from the start")
         return self
 
     @property

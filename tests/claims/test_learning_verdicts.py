@@ -1,6 +1,7 @@
 """Verdicts of the tests on episodes, on printed numbers and on growth, on data whose truth is known."""
 
 import numpy as np
+import pydantic
 import pytest
 
 from bojax.claims.samples import MIN_RUNS
@@ -40,6 +41,35 @@ class TestWindow:
         assert judge(results, {**test, "window": FIRST}).verdict == OPEN  # where they do not differ
         # Without a window it is the column of the run.
         assert judge(results, {"kind": "mean", "label": "a", "column": "value", "above": 6.0}).ours == 7.0
+
+    def test_a_curve_lies_above_another_if_it_does_in_every_part(self):
+        # `a` ends higher, and so does its mean, but the curves begin alike, or cross.
+        test = {"kind": "order", "column": "value", "window": {"from": 1, "to": 30}, "greater": ["a", "b"]}
+        alike, crossing = learners({"a": 5.0, "b": 3.0}), learners({"a": 5.0, "b": 3.0})
+        values = crossing.episodes["value"]
+        values[(crossing.episodes["point"] == 1) & (crossing.episodes["episode"] <= 10)] += 1.0
+        for results, verdict in ((alike, OPEN), (crossing, NO)):
+            assert judge(results, test).verdict == YES
+            finding = judge(results, {**test, "parts": 3})
+            assert finding.verdict == verdict
+            ends = [f"a - b in episodes {end}" for end in ("1 to 10", "11 to 20", "21 to 30")]
+            assert [each.of for each in finding.comparisons] == ends
+            assert finding.decisive == finding.comparisons[0]
+            a, b = (results.by_episode(point, "value")[:, 20:30].mean(axis=1) for point in results.points)
+            assert finding.comparisons[2].interval.estimate == pytest.approx((a - b).mean())
+        assert judge(alike, {**test, "window": {"from": 15, "to": 30}, "parts": 4}).verdict == YES
+
+    def test_parts_are_equal_and_have_several_episodes(self):
+        test = {"kind": "order", "column": "value", "greater": ["a", "b"], "parts": 4}
+        results = learners({"a": 1.0, "b": 0.0})
+        for window in (None, {"from": 1, "to": 30}, {"from": 1, "to": 4}):
+            with pytest.raises(
+                pydantic.ValidationError, match="parts: got 4; allowed: a number that divides"
+            ):
+                judge(results, {**test, "window": window})
+        late = {"from": 1, "to": 8, "counted_from": "first-success"}
+        with pytest.raises(pydantic.ValidationError, match="counted from the start"):
+            judge(results, {**test, "window": late})
 
     def test_tests_after_an_episode_are_averaged_and_kept_apart_from_training(self):
         runs = 30
