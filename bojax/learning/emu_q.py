@@ -15,7 +15,7 @@ from bojax.learning.actions import even_actions, refined_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.emu_q_model import TERMINAL_Q, TERMINAL_U, EMUQModel, EMUQState, Q, U
 from bojax.learning.features import FeatureSpec
-from bojax.learning.memory import Memory, emptied
+from bojax.learning.memory import Memory, StoredRewards, emptied
 from bojax.learning.refit import Refit
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice
@@ -53,6 +53,7 @@ class EMUQ(Learner):
     optimistic_u: bool = eqx.field(static=True)
     has_noise: bool = eqx.field(static=True)
     refit: Literal["sweeps", "direct", "none"] = eqx.field(static=True)
+    refit_rewards: Literal["recomputed", "stored"] = eqx.field(static=True)
     max_sweeps: int = eqx.field(static=True)
     mixes_transitions: bool = eqx.field(static=True)
     clips_u: bool = eqx.field(static=True)
@@ -87,7 +88,8 @@ class EMUQ(Learner):
         # At least one row: an empty array cannot be spread over devices.
         capacity = max(1, 0 if self.refit == "none" else capacity)
         memory = Memory.empty(capacity, observation_space.example, candidates[0], dtype)
-        return EMUQState(features, posterior, memory, candidates, samples)
+        stored = StoredRewards.empty(capacity, dtype) if self.refit_rewards == "stored" else None
+        return EMUQState(features, posterior, memory, candidates, samples, stored)
 
     @override
     def act(
@@ -148,7 +150,10 @@ class EMUQ(Learner):
         posterior = posterior.update(
             phi, target, sample_weight=weight, product=product, step_in_block=step_in_block
         )
-        return eqx.tree_at(lambda s: s.posterior, state, posterior)
+        state = eqx.tree_at(lambda s: s.posterior, state, posterior)
+        if state.stored is None:
+            return state
+        return eqx.tree_at(lambda s: s.stored, state, state.stored.add(bonus, exploration.is_learning))
 
     @override
     def end_episode(
@@ -177,7 +182,10 @@ class EMUQ(Learner):
 
     @override
     def policy_state(self, state: EMUQState) -> EMUQState:
-        return eqx.tree_at(lambda s: s.memory, state, emptied(state.memory))
+        where = lambda s: (s.memory, s.stored)  # noqa: E731
+        return eqx.tree_at(
+            where, state, (emptied(state.memory), emptied(state.stored)), is_leaf=lambda leaf: leaf is None
+        )
 
     @override
     def values(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box
 from bojax.learning.features import StateActionFeatures
-from bojax.learning.memory import Memory
+from bojax.learning.memory import Memory, StoredRewards
 from bojax.learning.policy import Ties, best_action
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice, one_of
@@ -34,6 +34,7 @@ class EMUQState(eqx.Module):
         memory: All transitions.
         candidates: Actions over which the policy maximises, `[J, ...]`.
         samples: Actions over which the exploration reward averages, `[K, ...]`.
+        stored: Exploration rewards for refits; None if they are recomputed.
     """
 
     features: StateActionFeatures
@@ -41,6 +42,7 @@ class EMUQState(eqx.Module):
     memory: Memory
     candidates: Action
     samples: Action
+    stored: StoredRewards | None
 
     def phi(self, observation: Observation, actions: Action) -> Float[Array, "J M"]:
         """Features of several actions in a state."""

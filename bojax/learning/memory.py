@@ -109,6 +109,30 @@ class Memory(eqx.Module):
         return jax.lax.fori_loop(0, (number + block - 1) // block, visit, start)
 
 
+class StoredRewards(eqx.Module):
+    """The exploration rewards of up to C transitions, as they were when the transitions were observed.
+
+    Attributes:
+        values: Exploration rewards, in the order of `Memory`; later ones are zero.
+        count: Number of transitions.
+    """
+
+    values: Float[Array, "C"]
+    count: Int[Array, ""]
+
+    @classmethod
+    def empty(cls, capacity: int, dtype: jnp.dtype) -> "StoredRewards":
+        """No rewards, and room for `capacity`."""
+        return cls(jnp.zeros((capacity,), dtype), jnp.zeros((), jnp.int32))
+
+    def add(self, reward: Float[Array, ""], is_kept: Bool[Array, ""]) -> "StoredRewards":
+        """The rewards with one appended if `is_kept`; rewards beyond the capacity are dropped."""
+        capacity = len(self.values)
+        place = jnp.where(is_kept, self.count, capacity)
+        values = self.values.at[place].set(reward.astype(self.values.dtype), mode="drop")
+        return StoredRewards(values, jnp.minimum(self.count + is_kept.astype(jnp.int32), capacity))
+
+
 def emptied(memory: T) -> T:
     """A memory, or a tree of memories, with room for one transition and none stored."""
     return jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), memory)

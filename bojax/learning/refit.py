@@ -36,7 +36,7 @@ class Refit(eqx.Module):
         """The fitted means of Q and U; unchanged if not active.
 
         Lines 14 and 15 fit Q, with a' chosen anew by Q + kappa U in every sweep or solution. Lines 16 and 17
-        compute the exploration rewards (5.12) and fit U, with a' chosen once.
+        compute the exploration rewards (5.12), unless they were stored, and fit U, with a' chosen once.
 
         The thesis does not say over which actions the policy maximises: every sweep draws its own candidates,
         as the published code does; a direct solution, which that code lacks, draws them once.
@@ -47,7 +47,8 @@ class Refit(eqx.Module):
         mean = state.posterior.mean
         gain = self.model.noise_precision * state.posterior.base
         drawn, samples = self.model.actions(key_u, state)
-        bonus = self._exploration_rewards(state, samples)
+        stored = state.stored
+        bonus = self._exploration_rewards(state, samples) if stored is None else stored.values
         candidates = Candidates.of(self.model, state, drawn, kappa)
         if self.is_direct:
             # With one set of candidates there are finitely many policies, which usually settle after a few.

@@ -174,6 +174,11 @@ class _EMUQ(LearnerSettings, frozen=True):
     optimistic_u: _OptimisticU = False
     has_noise: _HasNoise = False
     refit: _Refit = "direct"
+    refit_rewards: Literal["recomputed", "stored"] = Field(
+        default="recomputed",
+        description="exploration rewards of a refit: computed again with the covariance of that time (line "
+        "16 of Algorithm 6), or stored as they were when the transitions were observed (line 8)",
+    )
     max_sweeps: int = Field(
         default=30, ge=1, description="largest number of sweeps, or of policies solved directly"
     )

@@ -14,7 +14,7 @@ from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, R
 from bojax.numerics.lanes import LANES
 from bojax.numerics.linalg import solve_large
 from bojax.numerics.stragglers import LEAST
-from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode
+from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode, StoredRewards
 from tests.tiers import by_tier
 
 NUM_STEPS = 40
@@ -158,9 +158,10 @@ def test_a_discount_of_u_that_is_that_of_q_changes_no_bit():
     np.testing.assert_array_equal(*means)
 
 
-def test_a_second_episode_is_the_numpy_version_too():
-    learner, state = make(refit="sweeps")
-    reference = reference_of(Algorithm6, learner, state)
+@pytest.mark.parametrize(("rewards", "cls"), [("recomputed", Algorithm6), ("stored", StoredRewards)])
+def test_a_second_episode_is_the_numpy_version_too(rewards, cls):
+    learner, state = make(refit="sweeps", refit_rewards=rewards)
+    reference = reference_of(cls, learner, state)
     first, second = transitions(0), transitions(1)
     _, after = learn(learner, state, first)
     _, after = learn(learner, after, second)
@@ -175,6 +176,21 @@ def test_a_second_episode_is_the_numpy_version_too():
     np.testing.assert_allclose(
         after.posterior.mean[:, 1], reference.m_u, atol=1e-9 * np.abs(reference.m_u).max()
     )
+
+
+def test_stored_rewards_make_another_u_and_leave_with_the_memory():
+    steps = transitions()
+    after = []
+    for rewards in ("recomputed", "stored"):
+        learner, state = make(refit="direct", refit_rewards=rewards)
+        after.append(learn(learner, state, steps)[1])
+    assert after[0].stored is None
+    assert int(after[1].stored.count) == NUM_STEPS
+    q, u = np.abs(after[0].posterior.mean - after[1].posterior.mean).max(axis=0)
+    assert q == 0.0 and u > 1e-3  # Q is fitted first, with the U of before
+    kept = learner.policy_state(after[1])
+    assert len(kept.stored.values) == len(kept.memory.rewards) == 1
+    np.testing.assert_array_equal(kept.posterior.mean, after[1].posterior.mean)
 
 
 def test_readings_of_terminal_states_are_one_program():
@@ -318,7 +334,7 @@ def test_blocks_of_a_refit_do_not_matter_nor_whether_features_are_stored_or_reco
 
 @pytest.mark.parametrize("schema", [EMUQ, EMUQPublished])
 def test_without_learning_nothing_changes(schema):
-    learner, state = make(schema)
+    learner, state = make(schema, refit_rewards="stored")
     _, state = learn(learner, state, transitions())
     online, after = learn(
         learner, state, transitions(1), ExplorationState(jnp.asarray(1.0), jnp.asarray(False))

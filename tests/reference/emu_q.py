@@ -151,6 +151,21 @@ class DirectRefit(Algorithm6):
                 break
 
 
+class StoredRewards(Algorithm6):
+    """Algorithm 6 without line 16: an episode ends with the exploration rewards of line 8."""
+
+    def __init__(self, *args, **settings):
+        super().__init__(*args, **settings)
+        self.rewards = []
+
+    def step(self, s: Array, a: Array, r: float, s_next: Array, is_absorbing: bool) -> None:
+        self.rewards.append(super().exploration_reward(s_next[None])[0])
+        super().step(s, a, r, s_next, is_absorbing)
+
+    def exploration_reward(self, states: Array) -> Array:
+        return super().exploration_reward(states) if len(states) == 1 else np.array(self.rewards)
+
+
 class PublishedCode(Algorithm6):
     """What the published code does: SPEC of its quirks in one place.
 
