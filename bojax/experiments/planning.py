@@ -31,6 +31,7 @@ class PlanningState(eqx.Module):
         is_done: Whether the episode has ended.
         failed: Whether the simulation has diverged.
         record: What the problem records.
+        measured: Sums over the steps of what the planner measures of its plans.
     """
 
     key_world: Key[Array, ""]
@@ -43,6 +44,7 @@ class PlanningState(eqx.Module):
     is_done: Bool[Array, ""]
     failed: Bool[Array, ""]
     record: Record
+    measured: dict[str, Float[Array, ""]]
 
 
 class PlanningEpisode(Experiment):
@@ -61,7 +63,10 @@ class PlanningEpisode(Experiment):
     @property
     @override
     def tables(self) -> Mapping[str, Table]:
-        return {"runs": self.problem.run_columns, "steps": self.problem.step_columns}
+        return {
+            "runs": self.problem.run_columns + self.planner.run_columns,
+            "steps": self.problem.step_columns,
+        }
 
     @property
     @override
@@ -93,6 +98,7 @@ class PlanningEpisode(Experiment):
             is_done=jnp.zeros((), bool),
             failed=jnp.zeros((), bool),
             record=problem.begin_record(world, belief, num_samples),
+            measured={column.name: zero for column in self.planner.run_columns},
         )
 
     @override
@@ -129,6 +135,7 @@ class PlanningEpisode(Experiment):
             is_done=done,
             failed=failed,
             record=problem.record(carry.record, carry.step, plan.action, events, world, belief),
+            measured={name: total + plan.measured[name] for name, total in carry.measured.items()},
         )
         row = {
             "step": step,
@@ -152,7 +159,9 @@ class PlanningEpisode(Experiment):
     def summary(self, carry: PlanningState) -> dict[str, Scalar]:
         sums = {"return": carry.accumulated, "discounted_return": carry.discounted, "steps": carry.step}
         values = sums | self.problem.summary(carry.record, carry.world, carry.belief)
-        return {column.name: values[column.name] for column in self.problem.run_columns}
+        found = {column.name: values[column.name] for column in self.problem.run_columns}
+        steps = jnp.maximum(carry.step, 1).astype(carry.accumulated.dtype)
+        return found | {name: total / steps for name, total in carry.measured.items()}
 
     @override
     def snapshot(self, carry: PlanningState) -> dict[str, dict[str, Array]]:

@@ -10,6 +10,7 @@ from typing_extensions import override
 from bojax.motions.base import Motions
 from bojax.problems.base import Action, Belief, Problem
 from bojax.problems.path_problem import PathProblem
+from bojax.results.schema import Table
 
 
 class Plan(eqx.Module):
@@ -20,12 +21,14 @@ class Plan(eqx.Module):
         reward: Predicted reward of the action; None if the planner predicts none.
         value: Mean simulated return of action sequences that start with the action.
         visits: Number of simulations that start with the action.
+        measured: What the planner measures of its own plan, by the names of its `run_columns`.
     """
 
     action: Action
     reward: Float[Array, ""] | None
     value: Float[Array, ""]
     visits: Int[Array, ""]
+    measured: dict[str, Float[Array, ""]] = eqx.field(default_factory=dict)
 
     @property
     def path(self) -> Float[Array, "... S 3"]:
@@ -40,6 +43,11 @@ class Planner(eqx.Module):
     def num_samples(self) -> int:
         """Largest number of observations that an action yields."""
         return 1
+
+    @property
+    def run_columns(self) -> Table:
+        """Columns of `runs.parquet` for `Plan.measured`, means over the steps of a run."""
+        return ()
 
     def check(self, problem: Any) -> None:
         """Refuse a problem that the planner cannot plan on, or raise ValueError."""

@@ -19,8 +19,10 @@ from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_uct, write_row
-from bojax.problems.base import Objective
+from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct, write_row
+from bojax.problems.base import Belief, Objective
+from bojax.problems.path_problem import PathProblem
+from bojax.results.schema import Column, Table
 
 Scaling = Literal["standardise", "rank", "none"]
 
@@ -131,6 +133,7 @@ class ContinuousBeliefTreeSearch(
     refine_steps: int = eqx.field(static=True)
     scaling: Scaling = eqx.field(static=True)
     objective: Objective = None
+    measures_shortfall: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         """Compare the kernel with the trajectories' parameters, or raise ValueError."""
@@ -254,6 +257,43 @@ class ContinuousBeliefTreeSearch(
         )
         return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))
 
+    @property
+    @override
+    def run_columns(self) -> Table:
+        return (_SHORTFALL,) if self.measures_shortfall else ()
+
+    @override
+    def measure(
+        self, problem: PathProblem, belief: Belief, tree: Tree, memory: NodeModels
+    ) -> dict[str, Float[Array, ""]]:
+        """How close the actions of the root before the last one come to the best candidate.
+
+        Section 4.7.1: the continuity of rewards "allows BO to find optimal actions before trying A_max
+        actions". Bayesian optimisation chooses among the candidates, so that the best of them is the optimum.
+        The shortfall of the best of the first A_max - 1 actions is a share of the lead of this optimum over
+        the median candidate.
+        """
+        if not self.measures_shortfall:
+            return {}
+        rewards = self.candidate_rewards(problem, belief, memory)
+        children = tree.children[ROOT]
+        places = jnp.arange(self.num_actions, dtype=jnp.int32)
+        is_early = (children != UNVISITED) & (places < jnp.sum(self.max_actions, dtype=jnp.int32) - 1)
+        found = jnp.max(jnp.where(is_early, tree.reward[children], -jnp.inf))
+        best = jnp.max(rewards)
+        lead = best - jnp.median(rewards)
+        return {"shortfall": jnp.where(lead > 0.0, (best - found) / jnp.where(lead > 0.0, lead, 1.0), 0.0)}
+
+    def candidate_rewards(
+        self, problem: PathProblem, belief: Belief, memory: NodeModels
+    ) -> Float[Array, "C"]:
+        """The immediate rewards of all candidates at the root."""
+        root, node = problem.with_objective(self.objective).root(belief, self.depth)
+        # The key draws what is observed on the path. The reward of the path itself does not depend on it.
+        key = jax.random.key(0)
+        simulate = lambda path: problem.simulate(key, root, node, path[None], self.objective)  # noqa: E731
+        return jax.vmap(simulate)(memory.paths).rewards[:, 0]
+
     @override
     def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:
         params = memory.params[child]
@@ -277,3 +317,13 @@ def _scale(rewards: Float[Array, "A"], exists: Bool[Array, "A"], scaling: Scalin
     variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
     # Equal rewards carry no information about the surface: they are scaled to 0.
     return (rewards - mean) / jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)
+
+
+_SHORTFALL = Column(
+    "shortfall",
+    "float64",
+    "",
+    "mean over the steps of the reward by which the best of the first A_max - 1 actions of the root falls "
+    "short of the best candidate, as a share of the lead of that over the median candidate",
+    nullable=True,
+)

@@ -113,7 +113,14 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
             reward=tree.reward[child],
             value=tree.mean_return(child),
             visits=tree.visits[child].astype(jnp.int32),
+            measured=self.measure(problem, belief, tree, memory),
         )
+
+    def measure(
+        self, problem: PathProblem, belief: Belief, tree: Tree, memory: Memory
+    ) -> dict[str, Float[Array, ""]]:
+        """What `run_columns` are the means of, after a search."""
+        return {}
 
     def search(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> tuple[Tree, Memory]:
         """The tree and the planner's memory after all iterations."""

@@ -76,6 +76,11 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
         default=128, ge=1, description="number of quasi-random candidates of new actions, drawn for each plan"
     )
     refine_steps: int = Field(default=0, ge=0, description="number of gradient steps from the best candidate")
+    measures_shortfall: bool = Field(
+        default=False,
+        description="whether runs.parquet has the column shortfall: how close the actions of the root before "
+        "the last one come to the best candidate, which takes one more simulation for each candidate",
+    )
 
 
 class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):

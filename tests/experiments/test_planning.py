@@ -15,7 +15,7 @@ from bojax.planning.base import PathPlanner, Plan
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.problems.vehicles.base import Exact
-from bojax.results.schema import column_names
+from bojax.results.schema import Column, column_names
 from tests.motions.families import cubic, kernel, splines
 from tests.planning.samples import FIELD, f64, monitoring, parking
 from tests.problems.goal_disc import GoalDisc, goal_disc
@@ -66,11 +66,23 @@ class Straight(PathPlanner):
         return Plan(self.motions.paths()[0], reward=zero, value=zero, visits=jnp.ones((), jnp.int32))
 
 
+class Measuring(Straight):
+    """Measures where it believes to be."""
+
+    @property
+    def run_columns(self):
+        return (Column("believed_x", "float64", "m", "where the robot is"),)
+
+    def plan(self, key, problem, belief) -> Plan:
+        return dataclasses.replace(super().plan(key, problem, belief), measured={"believed_x": belief[0]})
+
+
 EXPERIMENTS = {
     "parking": PlanningEpisode(parking(), RandomPlanner(kernel())),
     "parking-on": PlanningEpisode(parking(exit_terminates=False), RandomPlanner(splines(5))),
     "disc": PlanningEpisode(goal_disc(), RandomPlanner(cubic())),
     "disc-straight": PlanningEpisode(goal_disc(), Straight(splines(5))),
+    "disc-measured": PlanningEpisode(goal_disc(), Measuring(splines(5))),
     "field": PlanningEpisode(monitoring("gradient"), RandomPlanner(cubic())),
     "field-myopic": PlanningEpisode(monitoring(start=(0.6, 0.6, 0.0)), MyopicPlanner(splines(5))),
 }
@@ -120,6 +132,11 @@ def played(name: str):
     return play(EXPERIMENTS[name], lanes_of())
 
 
+def carries_of(name: str) -> PlanningState:
+    """The last carries of an experiment."""
+    return played(name)[0][-1]
+
+
 def plain(tree):
     """A tree of NumPy arrays, keys as their data."""
     is_key = lambda leaf: jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # noqa: E731
@@ -156,6 +173,19 @@ def test_rewards_add_up_to_the_return(name):
     counted = np.where(table["valid"], table["step"], 0)
     expected = np.arange(1, table["step"].shape[1] + 1)
     np.testing.assert_array_equal(counted, np.where(table["valid"], expected[None], 0))
+
+
+def test_what_a_planner_measures_is_a_mean_over_the_steps_of_a_run():
+    experiment = EXPERIMENTS["disc-measured"]
+    carries, table, _ = played("disc-measured")
+    summary = summary_of(experiment, carries[-1])
+    valid = table["valid"]
+    assert 1 < valid.sum(axis=1).max() < valid.shape[1]
+    believed = np.stack([np.asarray(carry.belief)[:, 0] for carry in carries[:-1]], axis=1)
+    expected = np.sum(np.where(valid, believed, 0.0), axis=1) / valid.sum(axis=1)
+    np.testing.assert_allclose(summary["believed_x"], expected, atol=1e-12)
+    assert [column.name for column in experiment.tables["runs"]][-1] == "believed_x"
+    assert "believed_x" not in summary_of(EXPERIMENTS["disc-straight"], carries_of("disc-straight"))
 
 
 def test_success_and_exits_are_those_of_the_steps():

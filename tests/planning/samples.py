@@ -149,6 +149,7 @@ def kcbts(
     refine_steps=0,
     motions=None,
     objective=None,
+    measures_shortfall=False,
 ):
     return ContinuousBeliefTreeSearch(
         motions=motions or kernel_trajectories(),
@@ -166,6 +167,7 @@ def kcbts(
         refine_steps=refine_steps,
         scaling=scaling,
         objective=objective,
+        measures_shortfall=measures_shortfall,
     )
 
 
