@@ -513,8 +513,8 @@ _MAP_COLUMNS: Table = (
         "u_leads",
         "float64",
         "",
-        "share of the visited cells from which the gradient of U leads to a cell without a visit, mean over "
-        "map_episodes",
+        "share of the visited cells from which the gradient of U leads to an unvisited cell with a U in the "
+        "upper half of the map's range; mean over map_episodes",
         nullable=True,
     ),
 )

@@ -64,30 +64,38 @@ class Visits(eqx.Module):
         """Four numbers of a map of U.
 
         The mean of the unvisited cells minus that of the starting cells, the latter, the share of high cells,
-        and `leads`. A cell is high if its U is nearer to the largest of the map than to the least.
+        and the share of the visited cells from which the gradient of U leads to a high unvisited cell. A cell
+        is high if its U is nearer to the largest of the map than to the least.
         """
         start = jnp.mean(u, where=self.starts)
         is_high = 2.0 * u > jnp.min(u) + jnp.max(u)
-        high = jnp.mean(is_high.astype(u.dtype))
-        return jnp.stack([jnp.mean(u, where=~self.seen) - start, start, high, self.leads(u)])
+        # NaN where U is not a number anywhere, like the other scores.
+        leads = jnp.where(
+            jnp.isnan(jnp.max(u)), jnp.nan, (is_high & ~self.seen).ravel()[peaks(u)].astype(u.dtype)
+        )
+        return jnp.stack(
+            [
+                jnp.mean(u, where=~self.seen) - start,
+                start,
+                jnp.mean(is_high.astype(u.dtype)),
+                jnp.mean(leads, where=self.seen.ravel()),
+            ]
+        )
 
-    def leads(self, u: Float[Array, "R R"]) -> Float[Array, ""]:
-        """Share of the visited cells from which the gradient of U leads to an unvisited cell.
 
-        The gradient is followed from a cell to the one of its eight neighbours with the largest U, as long as
-        U rises.
-        """
-        resolution = u.shape[0]
-        padded = jnp.pad(u, 1, constant_values=-jnp.inf)
-        # The cell itself comes first, so that it is kept where no neighbour is higher.
-        steps = [(0, 0), *((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))]
-        around = jnp.stack([padded[1 + i : 1 + i + resolution, 1 + j : 1 + j + resolution] for i, j in steps])
-        cells = jnp.arange(resolution**2, dtype=jnp.int32)
-        offsets = jnp.asarray([i * resolution + j for i, j in steps], jnp.int32)
-        seen = self.seen.ravel()
-        following = jnp.where(seen, cells + offsets[jnp.argmax(around, axis=0).ravel()], cells)
-        # Each round doubles the number of steps, up to more than there are cells.
-        for _ in range((resolution**2).bit_length()):
-            following = following[following]
-        share = jnp.mean((~seen[following]).astype(u.dtype), where=seen)
-        return jnp.where(jnp.isnan(jnp.max(u)), jnp.nan, share)
+def peaks(u: Float[Array, "R R"]) -> Int[Array, "RR"]:
+    """The cell in which the gradient of a map ends, for every cell, both as indices of the flat map.
+
+    The gradient is followed to the one of the eight neighbours with the largest value, as long as it rises.
+    """
+    resolution = u.shape[0]
+    padded = jnp.pad(u, 1, constant_values=-jnp.inf)
+    # The cell itself comes first, so that it is kept where no neighbour is higher.
+    steps = [(0, 0), *((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0))]
+    around = jnp.stack([padded[1 + i : 1 + i + resolution, 1 + j : 1 + j + resolution] for i, j in steps])
+    offsets = jnp.asarray([i * resolution + j for i, j in steps], jnp.int32)
+    following = jnp.arange(resolution**2, dtype=jnp.int32) + offsets[jnp.argmax(around, axis=0).ravel()]
+    # Each round doubles the number of steps, up to more than there are cells.
+    for _ in range((resolution**2).bit_length()):
+        following = following[following]
+    return following

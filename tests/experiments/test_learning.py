@@ -593,43 +593,43 @@ def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     assert 1 < seen.sum()
     np.testing.assert_array_equal(carry.visits.seen[0], seen)
     np.testing.assert_array_equal(np.argwhere(carry.visits.starts[0]), [[0, 1]])
-    # U is 0.5, 1.5, 2.5 and 3.5 in the four rows of cells: two of them are high. It rises out of the second.
+    # U is 0.5, 1.5, 2.5 and 3.5 in the four rows of cells: two of them are high. It rises to the last one.
     np.testing.assert_allclose(
         carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1], 0.5, 1.0], rtol=1e-6
     )
     assert np.all(np.isnan(carry.map_scores[0, 1]))
 
 
-def climb(u: np.ndarray, seen: np.ndarray, cell: tuple[int, int]) -> bool:
-    """Whether a climb from a cell, always to the highest neighbour, meets an unvisited cell."""
-    while seen[cell]:
+def climb(u: np.ndarray, cell: tuple[int, int]) -> tuple[int, int]:
+    """The cell in which a climb ends that always goes to the highest neighbour."""
+    while True:
         i, j = cell
         around = [(k, m) for k in range(i - 1, i + 2) for m in range(j - 1, j + 2)]
-        around = [each for each in around if min(each) >= 0 and max(each) < len(u)]
-        best = max(around, key=lambda each: u[each])
-        if best == cell:
-            return False
+        best = max(
+            (each for each in around if min(each) >= 0 and max(each) < len(u)), key=lambda each: u[each]
+        )
+        if u[best] == u[cell]:
+            return cell
         cell = best
-    return True
 
 
-def test_the_gradient_of_a_map_leads_to_new_cells_or_to_a_known_maximum():
+def test_the_gradient_of_a_map_leads_to_new_cells_if_its_high_peaks_are_unvisited():
     rng = np.random.default_rng(0)
-    hills = [
-        np.add.outer(-((np.arange(12) - i) ** 2), -((np.arange(12) - j) ** 2)) for i, j in ((2, 3), (9, 8))
-    ]
-    maps = [np.maximum(*hills).astype(float), *rng.normal(size=(3, 12, 12))]
+    x = np.arange(12)
+    low, high = (top - np.add.outer((x - i) ** 2, (x - j) ** 2) for top, i, j in ((-30.0, 2, 3), (0.0, 9, 8)))
+    two_hills = np.maximum(low, high)
     shares = []
-    for u in maps:
-        for seen in (rng.uniform(size=u.shape) < 0.9, np.ones_like(u, bool)):
-            found = Visits(jnp.asarray(seen), jnp.asarray(seen)).leads(jnp.asarray(u))
-            expected = np.mean([climb(u, seen, tuple(cell)) for cell in np.argwhere(seen)])
+    for u in (two_hills, *rng.normal(size=(3, 12, 12))):
+        for seen in (rng.uniform(size=u.shape) < 0.9, np.ones_like(u, bool), u < u.max()):
+            is_new = (u > 0.5 * (u.min() + u.max())) & ~seen
+            expected = np.mean([is_new[climb(u, tuple(cell))] for cell in np.argwhere(seen)])
+            found = Visits(jnp.asarray(seen), jnp.asarray(seen)).scores(jnp.asarray(u))[3]
             np.testing.assert_allclose(found, expected, rtol=1e-6)
             shares.append(expected)
-    assert 0.0 < max(shares) and shares[1::2] == [0.0] * 4  # nowhere to go once every cell is known
-    maps[0][3, 4] = np.nan  # a model that has diverged leads nowhere
-    everywhere = jnp.ones(maps[0].shape, bool)
-    assert np.isnan(Visits(everywhere, everywhere).leads(jnp.asarray(maps[0])))
+    assert shares[1::3] == [0.0] * 4  # nowhere to go once every cell is known
+    assert 0.0 < shares[2] < 1.0  # the highest peak is new, but some cells lie at the foot of the other hill
+    two_hills[3, 4] = np.nan  # a model that has diverged leads nowhere
+    assert np.isnan(Visits(jnp.asarray(seen), jnp.asarray(seen)).scores(jnp.asarray(two_hills))[3])
 
 
 # Saved learners.
