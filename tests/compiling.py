@@ -3,6 +3,7 @@
 With `BOJAX_TESTS=release`, XLA's own defaults are used, as by a sweep.
 """
 
+import contextlib
 import importlib.metadata
 import itertools
 import os
@@ -12,6 +13,9 @@ IS_CPU = os.environ.get("JAX_PLATFORMS", "cpu") == "cpu"
 
 REPEATABLY = {} if IS_CPU else {"xla_gpu_deterministic_ops": True}
 """A GPU adds the forces of contacts in any order: the last bits of a wheeled robot differ every time."""
+
+COMPILATION = "/jax/core/compile/backend_compile_duration"
+"""What JAX calls the time of a compilation."""
 
 OPTIMISED = {"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
 """For programs that run for seconds: `quick_flags` make a search of 1,000 iterations ten times slower."""
@@ -35,6 +39,24 @@ def quick_flags() -> list[str]:
 
 _PROGRAMS_PER_CONTEXT = 200
 """A context keeps every constant and type that its programs name, until it is dropped."""
+
+
+@contextlib.contextmanager
+def events_of_jax():
+    """Context that lists the names of what JAX times, such as each compilation."""
+    # Imported here: the flags must be set before JAX is imported.
+    import jax.monitoring
+
+    events = []
+
+    def note(name, *_, **__):
+        events.append(name)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        yield events
+    finally:
+        jax.monitoring.unregister_event_duration_listener(note)  # there are others
 
 
 def share_lowering_contexts() -> None:

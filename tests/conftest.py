@@ -15,7 +15,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may start background jobs that ignore it
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
-from tests.compiling import quick_flags  # noqa: E402
+from tests.compiling import COMPILATION, quick_flags  # noqa: E402
 
 given = os.environ.get("XLA_FLAGS", "").split()
 os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*quick_flags(), *given]))
@@ -126,7 +126,7 @@ _file = ["collection"]
 
 
 def _count(event, *_, **__):
-    if event == "/jax/core/compile/backend_compile_duration":
+    if event == COMPILATION:
         _programs[_file[0]] += 1
 
 

@@ -37,7 +37,8 @@ def imports_of(tree: ast.AST, is_optional: bool = False) -> Iterator[tuple[str, 
     for node in ast.iter_child_nodes(tree):
         is_for_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
         is_guarded = isinstance(node, ast.Try | ast.FunctionDef | ast.AsyncFunctionDef)
-        optional = is_optional or is_for_types or is_guarded
+        is_needed = isinstance(node, ast.With) and ast.unparse(node.items[0]).startswith("needed(")
+        optional = is_optional or is_for_types or is_guarded or is_needed
         if isinstance(node, ast.Import):
             yield from ((alias.name.partition(".")[0], optional) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:

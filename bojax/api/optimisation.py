@@ -13,12 +13,9 @@ from typing_extensions import override
 from bojax.api.results import Picture
 from bojax.optimisation.drawing import draw_progress, draw_slice
 from bojax.optimisation.search import Search
-from bojax.optimisation.space import Axis, Range
+from bojax.optimisation.space import Axis, slice_along
 from bojax.report import style
 from bojax.report.drawing.base import panel_grid
-
-NUM_SLICE = 101
-"""Number of points along a slice of the model."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +111,7 @@ class OptimisationResult:
             draw_progress(first, [each.value for each in self.evaluations], self.is_maximised)
             first.set_xlabel("evaluation")
             for panel, axis in zip(others, self.axes, strict=False):
-                at, chosen = _values_along(axis), self.best[axis.key]
+                at, chosen = slice_along(axis), self.best[axis.key]
                 mean, std = self.predict([{**self.best, axis.key: value} for value in at])
                 places = [each.point[axis.key] for each in told]
                 draw_slice(
@@ -141,14 +138,6 @@ class OptimisationResult:
         if self.is_noisy:
             values = self.predict([self.evaluations[index].point for index in finite])[0].tolist()
         return min(zip((sign * value for value in values), finite, strict=True))[1]
-
-
-def _values_along(axis: Axis) -> list[Any]:
-    """Values of an axis in order, over its whole range."""
-    if not isinstance(axis, Range):
-        return list(axis.values)
-    (low,), (high,) = axis.position(axis.low), axis.position(axis.high)
-    return sorted({axis.value([position]) for position in np.linspace(low, high, NUM_SLICE).tolist()})
 
 
 def _plain(value: Any) -> Any:

@@ -1,7 +1,6 @@
 """Steps of `bojax.models.lookahead` as kernels for NVIDIA GPUs."""
 
 import functools
-import importlib
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bojax.numerics.linalg import HIGHEST
-from bojax.numerics.pallas import kernels_run_here, launch
+from bojax.numerics.pallas import imported, kernels_run_here, launch
 
 BAND = 32  # rows and columns of the blocks of L^-1 that a kernel reads
 
@@ -37,7 +36,7 @@ def whitened(
 
     def body(factor_ref: Any, gram_ref: Any, count_ref: Any, out_ref: Any) -> None:
         # All indices are explicitly 32-bit: in JAX's 64-bit mode, Python integers would become 64-bit.
-        pallas, triton = _pallas()
+        pallas, triton = imported()
         own = pallas.program_id(0).astype(np.int32)
 
         def add(block: Any, total: jax.Array) -> jax.Array:
@@ -66,7 +65,7 @@ def explained_away(
     size, height = rows.shape[1], max(16, _power_of_two(rows.shape[0]))  # Triton's least is 16
 
     def body(rows_ref: Any, factor_ref: Any, count_ref: Any, out_ref: Any) -> None:
-        pallas, triton = _pallas()
+        pallas, triton = imported()
         own = pallas.program_id(0).astype(np.int32)
 
         def add(block: Any, total: jax.Array) -> jax.Array:
@@ -102,7 +101,7 @@ def conditioned(
     width, height, few = map(_power_of_two, (columns, given, results))
 
     def body(joint_ref: Any, least_ref: Any, innovations_ref: Any, out_ref: Any) -> None:
-        _, triton = _pallas()
+        _, triton = imported()
         row = jax.lax.broadcasted_iota(np.int32, (height, width), 0)
         column = jax.lax.broadcasted_iota(np.int32, (height, width), 1)
         right = _load(joint_ref, (np.int32(0), height), (np.int32(0), width))
@@ -156,12 +155,6 @@ def _in_bands(
     return launch(body, [result], *args, name=name, grid=(-(-size // BAND),), warps=4, stages=3)[0]
 
 
-def _pallas() -> tuple[Any, Any]:
-    """Pallas and its Triton, which take a second to import."""
-    pallas = importlib.import_module("jax.experimental.pallas")
-    return pallas, importlib.import_module("jax.experimental.pallas.triton")
-
-
 def _power_of_two(number: int) -> int:
     """The next power of two: the sizes of arrays in a kernel."""
     return 1 << (number - 1).bit_length()
@@ -169,7 +162,7 @@ def _power_of_two(number: int) -> int:
 
 def _tile(ref: Any, *axes: tuple[Any, int]) -> tuple[Any, jax.Array]:
     """A block of an array, by the start and the size along each axis, and which of its elements exist."""
-    pallas, _ = _pallas()
+    pallas, _ = imported()
     inside = []
     for axis, (start, size) in enumerate(axes):
         index = start + jnp.arange(size, dtype=np.int32)
@@ -180,6 +173,6 @@ def _tile(ref: Any, *axes: tuple[Any, int]) -> tuple[Any, jax.Array]:
 
 def _load(ref: Any, *axes: tuple[Any, int]) -> jax.Array:
     """A block of an array, 0 past its end."""
-    _, triton = _pallas()
+    _, triton = imported()
     tile, inside = _tile(ref, *axes)
     return triton.load(tile, mask=inside, other=0.0)

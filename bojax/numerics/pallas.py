@@ -8,7 +8,7 @@ import importlib
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 
@@ -46,6 +46,12 @@ def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T
     return jax.lax.platform_dependent(*args, cuda=kernel, default=otherwise)
 
 
+def imported() -> tuple[Any, Any]:
+    """Pallas and its Triton, which take a second to import."""
+    pallas = importlib.import_module("jax.experimental.pallas")
+    return pallas, importlib.import_module("jax.experimental.pallas.triton")
+
+
 def launch(
     body: Callable[..., None],
     results: Sequence[jax.ShapeDtypeStruct],
@@ -66,9 +72,7 @@ def launch(
         warps: Number of warps of a program.
         stages: Number of iterations of a loop whose operands Triton loads at a time.
     """
-    # Imported late: it takes a second.
-    pallas = importlib.import_module("jax.experimental.pallas")
-    triton = importlib.import_module("jax.experimental.pallas.triton")
+    pallas, triton = imported()
     call = pallas.pallas_call(
         body,
         out_shape=list(results),

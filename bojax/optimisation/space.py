@@ -6,7 +6,12 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from bojax.config.errors import shown
+
+NUM_SLICE = 101
+"""Number of values along a range at which a slice through a model is computed."""
 
 SIGNIFICANT = 6
 """Significant digits of a proposed number, so that proposals stay readable."""
@@ -117,6 +122,14 @@ class Choice:
 
 
 Axis: TypeAlias = Range | Choice
+
+
+def slice_along(axis: Axis) -> list[Any]:
+    """The values of a slice through a model: all choices, or evenly spaced values of a range, in order."""
+    if isinstance(axis, Choice):
+        return list(axis.values)
+    (low,), (high,) = axis.position(axis.low), axis.position(axis.high)
+    return sorted({axis.value([position]) for position in np.linspace(low, high, NUM_SLICE).tolist()})
 
 
 def read_space(space: Mapping[str, Any]) -> tuple[Axis, ...]:

@@ -19,7 +19,7 @@ from bojax.engine.remote import Launcher
 from bojax.engine.run import run_sweeps
 from bojax.engine.targets import Request, say_new
 from bojax.optimisation.search import Search, Values
-from bojax.optimisation.space import Axis, Choice
+from bojax.optimisation.space import slice_along
 from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import Point, load
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
@@ -30,9 +30,6 @@ from bojax.tuning.task import Task
 
 TOP = 3
 """Number of the best settings that are confirmed."""
-
-NUM_SLICE = 101
-"""Number of values at which a slice through the posterior is computed."""
 
 
 def run_rounds(
@@ -222,14 +219,6 @@ class _Rounds:
 
     def _slice(self, index: int, best: Values) -> dict[str, Any]:
         """The posterior over one setting, the others as at the best point."""
-        values = _along(self._task.ranges[index])
+        values = slice_along(self._task.ranges[index])
         mean, std = self._expected([(*best[:index], value, *best[index + 1 :]) for value in values])
         return {"values": values, "mean": mean.tolist(), "std": std.tolist()}
-
-
-def _along(axis: Axis) -> list[Any]:
-    """The values of a slice: all choices, or evenly spaced values of a range."""
-    if isinstance(axis, Choice):
-        return list(axis.values)
-    (low,), (high,) = axis.position(axis.low), axis.position(axis.high)
-    return sorted({axis.value([position]) for position in np.linspace(low, high, NUM_SLICE).tolist()})

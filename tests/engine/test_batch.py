@@ -12,6 +12,7 @@ from bojax.engine import batch
 from bojax.engine.batch import TRACING, Functions, Programs, run_key
 from bojax.engine.errors import EngineError
 from bojax.engine.groups import static_groups
+from tests.compiling import events_of_jax
 from tests.toy import Toy, toy
 
 SEED = 5
@@ -152,21 +153,13 @@ def test_a_selection_of_lanes_goes_on_in_fewer():
 @pytest.mark.usefixtures("compiles_anew")
 def test_each_program_is_compiled_once():
     before = batch.compile_counts.copy()
-    events = []
     program = compile_toys()
     lanes = place(program, [0] * 8, list(range(8)))
-
-    def note(name, seconds, **about):
-        events.append(name)
-
-    jax.monitoring.register_event_duration_secs_listener(note)
-    try:
+    with events_of_jax() as events:
         for start in (0, 8, 16):
             lanes = place(program, [1] * 8, list(range(start, start + 8)))
             _, _, carry = run_all(program, lanes)
             program.snapshot(carry, lanes)
-    finally:
-        jax.monitoring.unregister_event_duration_listener(note)  # there are others
     assert batch.compile_counts - before == {"empty": 1, "fill": 1, "advance": 1, "summary": 1, "snapshot": 1}
     assert not [name for name in events if "compile" in name]
 

@@ -12,7 +12,16 @@ from bojax.engine import autotuning, batch, executables, program_cache
 from bojax.engine.autotuning import Choices, contents_of, programs_in
 from bojax.engine.batch import Programs
 from bojax.engine.program_cache import EXECUTABLES, Program
-from tests.engine.test_program_cache import DEVICE, advanced, caching_in, files, group_of, programs_of, spoil
+from tests.engine.test_program_cache import (
+    DEVICE,
+    advanced,
+    caching_in,
+    files,
+    group_of,
+    programs_of,
+    same_bits,
+    spoil,
+)
 from tests.tiers import by_tier
 
 
@@ -33,12 +42,6 @@ def loads_only(monkeypatch):
 
 def key_of(group, lanes: int = 3):
     return Programs.key_of(group, DEVICE, lanes, 0, None)
-
-
-def same_bits(first, second):
-    assert jax.tree.structure(first) == jax.tree.structure(second)
-    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
-        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
 
 
 @pytest.mark.bits

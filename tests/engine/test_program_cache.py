@@ -96,6 +96,12 @@ def advanced(programs: Programs):
     return jax.device_get((programs.summary(carry, lanes), records, status))
 
 
+def same_bits(first, second):
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
 def files(folder):
     return sorted(folder.iterdir()) if folder.exists() else []
 
@@ -132,10 +138,7 @@ def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(
     for leaf, other in zip(*map(jax.tree.leaves, structures), strict=True):
         assert (leaf.shape, leaf.dtype) == (other.shape, other.dtype)
         assert leaf.sharding.device_set == {device}
-    first, second = advanced(compiled), advanced(loaded)
-    assert jax.tree.structure(first) == jax.tree.structure(second)
-    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
-        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+    same_bits(advanced(compiled), advanced(loaded))
 
 
 def test_programs_that_jax_has_kept_are_saved_without_a_compilation(cache):

@@ -22,6 +22,7 @@ from bojax.models.estimators import BayesianLinearRegressor, GaussianProcessRegr
 from bojax.models.evidence import relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.problems.field_belief import FieldBelief
+from tests.compiling import COMPILATION
 
 KINDS = (
     float,
@@ -42,7 +43,7 @@ _compiled = itertools.count()
 
 
 def _count(event, *_, **__):
-    if event == "/jax/core/compile/backend_compile_duration":
+    if event == COMPILATION:
         next(_compiled)
 
 

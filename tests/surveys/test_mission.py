@@ -5,7 +5,6 @@ import sys
 import textwrap
 import warnings
 
-import jax.monitoring
 import numpy as np
 import pytest
 
@@ -13,7 +12,7 @@ from bojax.areas.area import Area
 from bojax.surveys.mission import Mission
 from bojax.surveys.polylines import length_of, points_along, rest_of
 from bojax.surveys.route import RouteOptions, fitted, stays_inside
-from tests.compiling import IS_CPU
+from tests.compiling import COMPILATION, IS_CPU, events_of_jax
 
 QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
 SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
@@ -58,19 +57,10 @@ def test_a_second_plan_compiles_nothing():
     survey = mission()
     for _ in range(2):
         drive(survey, survey.plan(), 2.0)
-    compiled = []
-
-    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
+    with events_of_jax() as events:
         drive(survey, survey.plan(), 2.0)
         survey.plan()
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
-    assert compiled == []
+    assert COMPILATION not in events
 
 
 def test_what_cannot_be_used_is_counted():

@@ -1,7 +1,6 @@
 """Routes keep their budget, their ends and the area, and are no worse than the guesses given."""
 
 import jax
-import jax.monitoring
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from bojax.surveys.guesses import parallel_lines
 from bojax.surveys.information import PointErrors, left_by, samples_along
 from bojax.surveys.polylines import length_of, with_waypoints
 from bojax.surveys.route import RouteOptions, plan_route, stays_inside
+from tests.compiling import COMPILATION, events_of_jax
 
 QUICK = RouteOptions(waypoints=16, restarts=5, steps=40, models=2)
 SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
@@ -86,18 +86,9 @@ def test_a_route_goes_round_a_hole_and_reaches_its_end():
 
 def test_another_budget_compiles_nothing():
     plan_route(belief(), SQUARE, 15.0, [1.0, 1.0], spacing=0.3, options=QUICK)
-    compiled = []
-
-    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
+    with events_of_jax() as events:
         plan_route(belief(), SQUARE, 11.0, [3.0, 2.0], spacing=0.3, options=QUICK, key=jax.random.key(1))
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
-    assert compiled == []
+    assert COMPILATION not in events
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Steps of MJX on a GPU as one kernel, with a thread for each robot."""
 
-import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -8,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bojax.numerics.pallas import imported, launch
 from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
 from bojax.robots.models import MjModel
 
@@ -51,9 +51,7 @@ class KernelSteps:
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
         """The state of every lane after the steps, in the order of `RobotState`."""
         program = self._program
-        # Imported here, since it takes a second.
-        pallas = importlib.import_module("jax.experimental.pallas")
-        triton = importlib.import_module("jax.experimental.pallas.triton")
+        pallas, _ = imported()
 
         # A program reads the numbers of its lane one by one, as scalars, and so it writes the results.
         def kernel(*refs: Any) -> None:
@@ -65,15 +63,6 @@ class KernelSteps:
                     ref[lane, i] = values.pop(0)
 
         results = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in (qpos, qvel, qacc_warmstart)]
-        call = pallas.pallas_call(
-            kernel,
-            out_shape=results,
-            grid=(len(qpos),),
-            interpret=jax.default_backend() == "cpu",
-            compiler_params=triton.CompilerParams(num_warps=1, num_stages=1),
-            name="mjx_steps",
-        )
-        qpos, qvel, qacc_warmstart = call(
-            qpos, qvel, qacc_warmstart, *([control] if control.shape[1] else [])
-        )
+        given = [qpos, qvel, qacc_warmstart, *([control] if control.shape[1] else [])]
+        qpos, qvel, qacc_warmstart = launch(kernel, results, *given, name="mjx_steps", grid=(len(qpos),))
         return qpos, qvel, qacc_warmstart
