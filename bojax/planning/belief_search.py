@@ -235,7 +235,8 @@ class BeliefTreeSearch(eqx.Module):
             branch = row(tree.branches, action_node, random_index(key_branch, num_branches))
             is_followed = at.is_active & ~adds
             grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
-            action = problem.actions.decode(row(tree.parameters, action_node))
+            parameters = row(tree.parameters, action_node)
+            action = problem.actions.decode(parameters)
             beliefs, state, reward, ended = self.follow(
                 key_follow, problem, grown, at.state, action, branch, is_followed
             )
@@ -248,6 +249,7 @@ class BeliefTreeSearch(eqx.Module):
                 state=jnp.where(is_followed, state, at.state),
                 slot=jnp.where(at.is_active, slot, at.slot),
                 action=jnp.where(at.is_active, action_node, at.action),
+                parameters=jnp.where(at.is_active, parameters, at.parameters),
                 branch=jnp.where(at.is_active, num_branches, at.branch),
                 is_new_action=jnp.where(at.is_active, visits == 0.0, at.is_new_action),
                 is_active=is_followed & ~ended & (level < self.depth),
@@ -266,6 +268,7 @@ class BeliefTreeSearch(eqx.Module):
             state=state,
             slot=zero,
             action=zero,
+            parameters=jnp.zeros_like(tree.parameters[0]),
             branch=zero,
             is_new_action=no,
             is_active=~no,
@@ -303,7 +306,9 @@ class BeliefTreeSearch(eqx.Module):
         proposed = self.proposal(key, space, tree, end.node, totals)
         if first is not None:
             proposed = jnp.where((end.node == ROOT) & (end.slot == 0), first, proposed)
-        return jnp.where(end.is_new_action, proposed, row(tree.parameters, end.action))
+        # The loop has read the parameters. If they were read here, the fusions that use them would read them
+        # again while they are written, for which XLA copies those of all actions twice in every iteration.
+        return jnp.where(end.is_new_action, proposed, end.parameters)
 
     def _back_up(
         self,
@@ -362,6 +367,7 @@ class _Descent(eqx.Module):
         state: State of the simulation there.
         slot: Position of the action chosen there.
         action: Its action node, if it has one.
+        parameters: The parameters of that action node.
         branch: Number of branches of that action.
         is_new_action: Whether the action has no visit yet.
         is_active: Whether the descent goes on.
@@ -378,6 +384,7 @@ class _Descent(eqx.Module):
     state: Float[Array, "D"]
     slot: Int[Array, ""]
     action: Int[Array, ""]
+    parameters: Num[Array, "P"]
     branch: Int[Array, ""]
     is_new_action: Bool[Array, ""]
     is_active: Bool[Array, ""]
