@@ -340,7 +340,10 @@ class _BeliefSearch(_Widened, BeliefPlannerSettings, frozen=True):
         default=1, ge=1, description="independent trees of a plan, each with this number of simulations"
     )
     merge_lengthscale: float = Field(
-        default=0.2, gt=0, description="distance at which first actions of several trees are alike"
+        default=0.2,
+        gt=0,
+        description="distance at which first actions of several trees are alike: parameters of actions are "
+        "in [-1, 1], and an angle is a point on the unit circle",
     )
 
 

@@ -195,7 +195,7 @@ def speeds(results: Results) -> Table | None:
         run, steps = group.run_seconds, group.active_steps
         rate = steps / run if steps and run else None
         planners = [getattr(point.experiment, "planner", None) for point in members]
-        iterations = {getattr(planner, "iterations", None) for planner in planners}
+        iterations = {_iterations(planner) for planner in planners}
         per_step = iterations.pop() if len(iterations) == 1 else None
         latencies = dict.fromkeys(seconds(known.get(str(point.index), (None,))[0]) for point in members)
         texts = [
@@ -213,6 +213,12 @@ def speeds(results: Results) -> Table | None:
     if all(cells[0].text == MISSING for _, cells in rows):  # not measured
         headings, rows = headings[1:], [(name, cells[1:]) for name, cells in rows]
     return Table(headings, rows) if rows else None
+
+
+def _iterations(planner: Any) -> int | None:
+    """The simulations of a plan, of all its trees together; None if the planner has none."""
+    each = getattr(planner, "iterations", None)
+    return None if each is None else each * getattr(planner, "trees", 1)
 
 
 def settings(results: Results) -> tuple[list[tuple[str, str]], list[tuple[str, list[tuple[str, str]]]]]:

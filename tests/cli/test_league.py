@@ -68,12 +68,14 @@ def test_a_piece_that_fails_is_one_line_and_does_not_stop_the_others(quick, tmp_
     assert quick == ["hotspots-elevation-20-00.json"]
 
 
-def test_pieces_of_other_choices_are_not_mixed(quick, tmp_path, refusal):
+def test_pieces_of_other_choices_are_not_mixed(quick, tmp_path, capsys):
     out = tmp_path / "league"
     assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out)]) == 0
     about = json.loads((out / "league.json").read_text())
     (out / "league.json").write_text(json.dumps({**about, "leg": 2.5}))
-    assert "leg: 2.5 -> 5.0" in refusal(f"reproduce surveys --runs 1 --out {out} --resume")
+    assert main(["reproduce", "surveys", "--runs", "1", "--out", str(out), "--resume"]) == 2
+    # Without iris-sample-data, a note on the fields that are left out precedes the error.
+    assert "leg: 2.5 -> 5.0" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_mistakes_are_one_line(here, refusal):

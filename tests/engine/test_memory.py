@@ -13,8 +13,8 @@ parking planner.max_actions=1000000
 => planner.max_actions: got 1000000; an array of one run would take about
 parking planner.iterations=20000 planner.num_candidates=20000 planner.max_actions=50000
 => planner.max_actions: got 50000; an array of one run would take about
-mountain-car map_episodes=[1] map_resolution=1000000
-=> map_resolution: got 1000000; an array of one run would take about
+mountain-car map_episodes=[1] map_resolution=40000
+=> map_resolution: got 40000; an array of one run would take about
 parking 'planner={kind: gps-abt, max_levels: 9000000}' planner.num_rollout_paths=9000000
 => got 9000000
 parking planner.max_actions=10000000000
