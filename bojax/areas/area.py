@@ -103,6 +103,33 @@ class Area:
         return inside
 
 
+def check_inside(
+    area: Area,
+    point: np.ndarray,
+    name: str,
+    given: Sequence[float] | None = None,
+    bounds: tuple[float, float, float, float] | None = None,
+) -> None:
+    """Refuse a point `[2]` outside an area, m; up to a thousandth of a millimetre, it is on the border.
+
+    Args:
+        area: The area.
+        point: The point, m.
+        name: What the message calls it.
+        given: The point in other coordinates, which the message shows.
+        bounds: The bounds of the area in these.
+
+    Raises:
+        ValueError: It is outside.
+    """
+    if area.contains(point[None])[0] or area.distances(point[None])[0] >= -1e-6:
+        return
+    x_min, y_min, x_max, y_max = area.bounds if bounds is None else bounds
+    within = f"x from {x_min:.8g} to {x_max:.8g} and y from {y_min:.8g} to {y_max:.8g}"
+    got = ",".join(f"{value:.8g}" for value in (point if given is None else given))
+    raise ValueError(f"{name}: got {got}, which is not in the area; allowed: points in it, with {within}")
+
+
 def _ring(corners: np.ndarray) -> Ring:
     """The corners of a ring as read-only numbers, without a last one that repeats the first.
 

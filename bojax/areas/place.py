@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bojax.areas import polygons
-from bojax.areas.area import Area
+from bojax.areas.area import Area, check_inside
 from bojax.areas.shapes import shapely_module, to_area, to_shape
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
@@ -50,13 +50,7 @@ class Place:
             ValueError: It is not in the area; the message begins with `name`.
         """
         point = self.projection.to_local(np.asarray(given, float))
-        if not self.area.contains(point[None])[0] and self.area.distances(point[None])[0] < -1e-6:
-            x_min, y_min, x_max, y_max = self.bounds
-            within = f"x from {x_min:.8g} to {x_max:.8g} and y from {y_min:.8g} to {y_max:.8g}"
-            got = ",".join(f"{value:.8g}" for value in given)
-            raise ValueError(
-                f"{name}: got {got}, which is not in the area; allowed: points in it, with {within}"
-            )
+        check_inside(self.area, point, name, given, self.bounds)
         return point
 
     def noted(self, note: str) -> "Place":

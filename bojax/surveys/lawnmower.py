@@ -156,8 +156,13 @@ def check_budget(
     if start is not None and end is not None:
         shortest = length_of(ground.transfers.path(np.asarray(start, float), np.asarray(end, float)))
         if shortest > budget:
-            between = f"the shortest way from the start to the end is {shortest:.6g} m long"
-            raise ValueError(f"budget: got {budget:.6g} m, but {between}")
+            raise too_small(budget, shortest)
+
+
+def too_small(budget: float, shortest: float) -> ValueError:
+    """The error of a budget that is less than the shortest way."""
+    between = f"the shortest way from the start to the end is {shortest:.6g} m long"
+    return ValueError(f"budget: got {budget:.6g} m, but {between}")
 
 
 def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np.ndarray]]:

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from bojax.areas.area import Area
+from bojax.areas.area import Area, check_inside
 from bojax.config.extras import MissingExtra
 from bojax.fields.raster import LARGEST
 from bojax.fields.scale import unit_doubt
@@ -21,6 +21,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.results.store import write_arrays
 from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
+from bojax.surveys.lawnmower import too_small
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
@@ -142,40 +143,60 @@ class Mission:
                 equally fast; but for twice as many metres from a common start or to a common end.
 
         Raises:
-            ValueError: A number is out of range, the start is not a position, or the goal is not known.
+            ValueError: A number is out of range, the start or the end is not a position in the area, the
+                budget does not reach from the start to the end, or the goal is not known.
         """
-        x_min, y_min, x_max, y_max = area.bounds
-        self._size = max(x_max - x_min, y_max - y_min)
-        lengthscale = self._size / 6.0 if lengthscale is None else lengthscale
-        numbers = {
-            "budget": budget,
-            "spacing": spacing,
-            "lengthscale": lengthscale,
-            "noise_variance": noise_variance,
-            "relearn_every": 1 if relearn_every is None else relearn_every,
-        }
-        for name, value in numbers.items():
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: got {value}; allowed: > 0")
         if robots not in range(1, MOST_ROBOTS + 1):
             raise ValueError(f"robots: got {robots}; allowed: 1 to {MOST_ROBOTS}")
         if not (np.isfinite(separation) and separation >= 0):
             raise ValueError(f"separation: got {separation}; allowed: >= 0")
         starts = _positions("start", start, robots)
         ends = [None] * robots if end is None else _positions("end", end, robots)
-        self.area, self.separation = area, float(separation)
-        self.robots = [Robot(at, float(budget), to) for at, to in zip(starts, ends, strict=True)]
-        self.spacing, self.relearn_every, self.seed = float(spacing), relearn_every, seed
-        self.options = OPTIONS if options is None else options
-        self.goal = goal_of(goal)
-        self.hyperparameters = (float(lengthscale), 1.0, float(noise_variance))
+        budget = _above_zero("budget", budget, "m")
+        self._prepare(area, [Robot(at, budget, to) for at, to in zip(starts, ends, strict=True)], options)
+        self.separation, self.seed = float(separation), seed
+        self.spacing = _above_zero("spacing", spacing, "m")
+        lengthscale = (
+            self._size / 6.0 if lengthscale is None else _above_zero("lengthscale", lengthscale, "m")
+        )
+        self.hyperparameters = (lengthscale, 1.0, _above_zero("noise_variance", noise_variance))
         self._medians = self.hyperparameters
+        if relearn_every is not None:
+            _above_zero("relearn_every", relearn_every)
+        self.relearn_every = relearn_every
+        self.goal = goal_of(goal)
+        self._check_ways()
+
+    def _prepare(self, area: Area, robots: list[Robot], options: RouteOptions | None) -> None:
+        """Begin without a measurement, with robots that may be anywhere."""
+        x_min, y_min, x_max, y_max = area.bounds
+        self._size = max(x_max - x_min, y_max - y_min)
+        self.area, self.robots, self.separation = area, robots, 0.0
+        self.options = OPTIONS if options is None else options
+        self.relearn_every, self.seed = None, 0
         self.counts: Counter[str] = Counter()
         self._x, self._y = NOTHING, np.zeros(0)
         self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
         self._shift, self._scale = 0.0, 1.0
         self._learned_at, self._plans = 0, 0
         self._is_doubted = False  # the unit of the values, by a warning
+
+    def _check_ways(self) -> None:
+        """Refuse ends outside the area, and a budget that is less than the shortest way between them.
+
+        Later, a robot may be anywhere, and its budget may be used.
+
+        Raises:
+            ValueError: An end of a robot is outside, or the budget is too small.
+        """
+        for robot in self.robots:
+            for name, point in (("start", robot.position), ("end", robot.end)):
+                if point is not None:
+                    check_inside(self.area, point, name)
+            if robot.end is not None:
+                shortest = length_of(self._way(robot.position, robot.end))
+                if shortest > robot.remaining * (1.0 + ROUNDING):
+                    raise too_small(robot.remaining, shortest)
 
     @property
     def num_measurements(self) -> int:
@@ -477,12 +498,15 @@ class Mission:
             area = Area(zones[0], tuple(zones[1:]))
             region = Area(tuple(rings)) if of_region else None
             remaining, times = (np.atleast_1d(plain.pop(name)).tolist() for name in ("remaining", "_time"))
-            mission = cls(
-                area, 1.0, data["position"], end, spacing=1.0, options=RouteOptions(**options),
-                robots=len(remaining),
-            )  # fmt: skip
-            for number, robot in enumerate(mission.robots):
-                robot.remaining, robot.time = remaining[number], times[number]
+            positions = _positions("position", data["position"], len(remaining))
+            ends = [None] * len(remaining) if end is None else _positions("end", end, len(remaining))
+            mission = cls.__new__(cls)  # unlike a new one, it may have left the area or used its budget
+            robots = [
+                Robot(at, left, to, time=time)
+                for at, left, to, time in zip(positions, remaining, ends, times, strict=True)
+            ]
+            mission._prepare(area, robots, RouteOptions(**options))
+            for number, robot in enumerate(robots):
                 waypoints = data[f"route{number or ''}"]
                 if len(waypoints):
                     robot.route = Route(waypoints, length_of(waypoints), np.nan, "earlier plan", {})
@@ -563,6 +587,21 @@ _PLAIN = (
 def _prior_about(medians: tuple[float, float, float]) -> LogPrior:
     """The prior of all missions with these medians: each function compiles `relearn` anew."""
     return log_normal_prior(*model_of(medians), SPREAD)
+
+
+def _above_zero(name: str, given: Any, unit: str = "") -> float:
+    """A number above 0.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        value = np.nan if isinstance(given, str) else float(given)
+    except (TypeError, ValueError):
+        value = np.nan
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: got {given}; allowed: a number > 0{unit and f', {unit}'}")
+    return value
 
 
 def _positions(name: str, given: Any, robots: int) -> list[Waypoints]:

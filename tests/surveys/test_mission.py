@@ -123,7 +123,8 @@ def test_a_used_budget_ends_the_mission():
 def test_the_way_to_an_end_behind_a_wall_is_the_plan_of_a_short_budget(goal, budget):
     pytest.importorskip("shapely")
     area = SQUARE.without([(np.array([[2.5, -1.0], [3.5, -1.0], [3.5, 5.0], [2.5, 5.0]]),)])
-    survey = mission(area=area, budget=budget + 1e-3, end=[5.0, 1.0], goal=goal)
+    survey = mission(area=area, end=[5.0, 1.0], goal=goal)
+    survey.remaining = budget + 1e-3
     survey.observe([[1.0, 1.001]], [1.0])
     waypoints = survey.plan()
     route = np.concatenate([survey.position[None], waypoints])
@@ -177,14 +178,52 @@ def test_a_damaged_file_is_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"budget": -1.0}, "budget: got -1.0; allowed: > 0"),
-        ({"spacing": 0.0}, "spacing: got 0.0; allowed: > 0"),
+        ({"budget": -1.0}, "budget: got -1.0; allowed: a number > 0, m"),
+        ({"budget": [50, 60]}, r"budget: got \[50, 60\]; allowed: a number > 0, m"),
+        ({"budget": "1km"}, "budget: got 1km; allowed: a number > 0, m"),
+        ({"budget": None}, "budget: got None; allowed: a number > 0, m"),
+        ({"spacing": 0.0}, "spacing: got 0.0; allowed: a number > 0, m"),
+        ({"noise_variance": "low"}, "noise_variance: got low; allowed: a number > 0"),
+        (
+            {"start": [7.0, 1.0]},
+            "start: got 7,1, which is not in the area; allowed: points in it, with x from 0 to 6 and y",
+        ),
+        ({"end": [1.0, -0.1]}, "end: got 1,-0.1, which is not in the area; allowed: points in it"),
+        (
+            {"budget": 4.0, "end": [1.0, 5.5]},
+            "budget: got 4 m, but the shortest way from the start to the end is 4.5 m long",
+        ),
         ({"start": [np.nan, 0.0]}, "start: got .*; allowed: x and y in metres"),
     ],
 )
 def test_bad_input_is_one_line(change, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=f"^{message}") as caught:
         mission(**change)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_budget_must_reach_around_a_wall():
+    pytest.importorskip("shapely")
+    area = SQUARE.without([(np.array([[2.5, -1.0], [3.5, -1.0], [3.5, 5.0], [2.5, 5.0]]),)])
+    with pytest.raises(ValueError, match="budget: got 9.5 m, but the shortest way .* is 9.544 m long"):
+        mission(area=area, budget=9.5, end=[5.0, 1.0])
+    assert mission(area=area, budget=9.55, end=[5.0, 1.0]).remaining == 9.55
+
+
+def test_the_budget_may_be_the_way_to_the_end():
+    np.testing.assert_allclose(mission(budget=4.0, end=[1.0, 5.0]).plan(), [[1.0, 5.0]])
+
+
+def test_a_mission_that_has_left_the_area_and_used_its_budget_is_loaded(tmp_path):
+    file = tmp_path / "mission.npz"
+    survey = mission(end=[5.0, 5.0])
+    survey.observe([], [], [-1.0, 3.0])
+    survey.remaining = 0.5
+    survey.save(file)
+    other = Mission.load(file)
+    assert other.remaining == 0.5
+    np.testing.assert_array_equal(other.position, [-1.0, 3.0])
+    assert_same_plan(other, survey)
 
 
 @pytest.mark.parametrize("goal", ["hotspots", "threshold=110", Area.rectangle(3.0, 3.0, 6.0, 6.0)])
