@@ -21,6 +21,7 @@ _NODES, _NODE_WEIGHTS = (each / 2.0 for each in np.polynomial.legendre.leggauss(
 _NODES = _NODES + 0.5  # on [0, 1]
 
 ALLOWED = "map, hotspots, threshold=V or region=FILE"
+_OF_MISSIONS = "map, hotspots, threshold=V or an Area"
 Kind = Literal["map", "hotspots", "threshold", "region"]
 
 
@@ -115,15 +116,15 @@ class Goal:
         return np.sqrt(np.maximum(variance - explained, 0.0).mean(axis=-1))
 
 
-def parse_goal(text: str) -> tuple[Kind, str]:
-    """The kind of a goal, and the value or the file after its `=`.
+def parse_goal(text: str, allowed: str = ALLOWED) -> tuple[Kind, str]:
+    """The kind of a goal, and the value or the file after its `=`; a message names what is `allowed`.
 
     Raises:
         ValueError: The text is not a goal. The message is one line.
     """
     found = re.fullmatch(r"(map|hotspots)|(threshold|region)=(.+)", text)
     if not found:
-        raise ValueError(f"got {text}; allowed: {ALLOWED}")
+        raise ValueError(f"got {text}; allowed: {allowed}")
     kind, argument = found[1] or found[2], found[3] or ""
     if kind == "threshold":
         try:
@@ -143,11 +144,14 @@ def goal_of(given: "str | Area") -> Goal:
     """
     if not isinstance(given, str):
         if not hasattr(given, "outline"):
-            raise ValueError(f"goal: got {given}; allowed: map, hotspots, threshold=V or an Area")
+            raise ValueError(f"goal: got {given}; allowed: {_OF_MISSIONS}")
         return Goal("region", region=given)
-    kind, argument = parse_goal(given)
+    try:
+        kind, argument = parse_goal(given, _OF_MISSIONS)
+    except ValueError as error:
+        raise ValueError(f"goal: {error}") from error
     if kind == "region":
-        raise ValueError(f"goal: got {given}; allowed: map, hotspots, threshold=V or an Area")
+        raise ValueError(f"goal: got {given}; allowed: {_OF_MISSIONS}")
     return Goal(kind, float(argument) if argument else math.nan)
 
 

@@ -166,6 +166,8 @@ class Mission:
         self.relearn_every = relearn_every
         self.goal = goal_of(goal)
         self._check_ways()
+        if robots == 1 and separation > 0:
+            warnings.warn(f"separation: got {separation:g} m, which one robot does not use", stacklevel=2)
 
     def _prepare(self, area: Area, robots: list[Robot], options: RouteOptions | None) -> None:
         """Begin without a measurement, with robots that may be anywhere."""
@@ -343,7 +345,9 @@ class Mission:
         restarts, steps = (max(2, each // 2) for each in (self.options.restarts, self.options.steps))
         return dataclasses.replace(self.options, models=1, restarts=restarts, steps=steps)
 
-    def observe(self, points: Any, values: Any, pose: Any = None, times: Any = None, robot: int = 0) -> int:
+    def observe(
+        self, points: Any, values: Any, pose: Any = None, times: Any = None, robot: int | None = None
+    ) -> int:
         """Take measurements of a robot into the belief, and move it.
 
         The distance driven, along the measured points to the pose, is taken from the budget. What cannot be
@@ -356,18 +360,21 @@ class Mission:
             pose: Position of the robot (further numbers, as a heading, are ignored); by default, the last
                 measurement.
             times: Times of the measurements, only to count those that run backwards.
-            robot: Index of the robot.
+            robot: Index of the robot; of several, it must be given.
 
         Returns:
             Number of measurements taken.
 
         Raises:
-            ValueError: There are not as many values, or times, as points, or there is no such robot.
+            ValueError: The points are not rows of x and y, there are not as many values, or times, as points,
+                or there is no such robot.
         """
-        if robot not in range(len(self.robots)):
+        if robot is None and len(self.robots) == 1:
+            robot = 0
+        if robot is None or robot not in range(len(self.robots)):
             raise ValueError(f"robot: got {robot}; allowed: 0 to {len(self.robots) - 1}")
         its = self.robots[robot]
-        points = np.asarray(points, float).reshape(-1, 2)
+        points = _rows("points", points)
         values = np.asarray(values, float).reshape(-1)
         if len(points) != len(values):
             raise ValueError(f"values: got {len(values)}; allowed: {len(points)}, one for each point")
@@ -602,6 +609,21 @@ def _above_zero(name: str, given: Any, unit: str = "") -> float:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name}: got {given}; allowed: a number > 0{unit and f', {unit}'}")
     return value
+
+
+def _rows(name: str, given: Any) -> Waypoints:
+    """Rows of x and y, or nothing.
+
+    Raises:
+        ValueError: They have another form.
+    """
+    try:
+        rows = np.asarray(given, float)
+    except (TypeError, ValueError) as error:  # text, or rows of different lengths
+        raise ValueError(f"{name}: not an array of numbers; allowed: [[x, y], ...], m") from error
+    if rows.size and (rows.ndim != 2 or rows.shape[1] != 2):
+        raise ValueError(f"{name}: got the shape {rows.shape}; allowed: (N, 2), rows of x and y, m")
+    return rows.reshape(-1, 2)
 
 
 def _positions(name: str, given: Any, robots: int) -> list[Waypoints]:

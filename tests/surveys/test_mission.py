@@ -101,6 +101,25 @@ def test_a_value_that_stands_for_missing_data_is_counted():
     assert survey.counts["too_large"] == 2
 
 
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (
+            [[[1.1, 1.0], [1.2, 1.0]], [[1.3, 1.0], [1.4, 1.0]]],
+            r"got the shape \(2, 2, 2\); allowed: \(N, 2\)",
+        ),
+        ([1.1, 1.0, 1.2, 1.0], r"got the shape \(4,\); allowed: \(N, 2\), rows of x and y, m"),
+        ([[1.1, 1.0, 0.0], [1.2, 1.0, 0.0]], r"got the shape \(2, 3\)"),
+        ([[1.1, 1.0], [1.2]], r"not an array of numbers; allowed: \[\[x, y\], ...\], m"),
+    ],
+)
+def test_points_of_another_form_are_refused(points, message):
+    survey = mission()
+    with pytest.raises(ValueError, match=f"^points: {message}"):
+        survey.observe(points, [1.0, 2.0, 3.0, 4.0])
+    assert survey.num_measurements == 0 and survey.remaining == 12.0
+
+
 def test_the_belief_outgrows_its_capacity():
     survey = mission()
     points = np.random.default_rng(0).uniform(0.0, 6.0, (150, 2))
@@ -261,10 +280,17 @@ def test_a_region_is_where_the_route_goes():
     assert np.median(route, axis=0).min() > 3.0
 
 
-@pytest.mark.parametrize("goal", ["depth", "region=a.kml", "threshold=", 3])
+@pytest.mark.parametrize("goal", ["depth", "region=a.kml", "threshold=", "hotspot", 3])
 def test_an_unknown_goal_is_refused(goal):
-    with pytest.raises(ValueError, match="allowed: "):
+    with pytest.raises(
+        ValueError, match=f"^goal: got {goal}; allowed: map, hotspots, threshold=V or an Area$"
+    ):
         mission(goal=goal)
+
+
+def test_a_threshold_is_a_number():
+    with pytest.raises(ValueError, match="^goal: got threshold=x; allowed: threshold=V, where V is a number"):
+        mission(goal="threshold=x")
 
 
 def test_a_region_must_be_in_the_area():

@@ -82,7 +82,9 @@ def test_two_robots_map_better_than_one_with_the_same_budget():
 
 
 def test_a_mission_of_one_robot_is_that_without_the_argument():
-    usual, counted = mission(), mission(robots=1, separation=3.0, start=[[1.0, 1.0]])
+    usual = mission()
+    with pytest.warns(UserWarning, match="^separation: got 3 m, which one robot does not use$"):
+        counted = mission(robots=1, separation=3.0, start=[[1.0, 1.0]])
     np.testing.assert_array_equal(usual.plan(), counted.plan())
 
 
@@ -119,7 +121,7 @@ def test_a_robot_whose_budget_is_used_stays_while_the_other_goes_on():
 def test_a_robot_keeps_away_from_one_that_returns(goal):
     # Both diagonals: without it, the second robot meets the first one in the middle.
     survey = team(goal=goal, start=[[1.0, 5.0], [5.0, 5.0]], end=[[5.0, 1.0], [1.0, 1.0]], separation=1.0)
-    survey.observe([[1.1, 5.0], [5.0, 5.1]], [1.0, 2.0], [1.0, 5.0])
+    survey.observe([[1.1, 5.0], [5.0, 5.1]], [1.0, 2.0], [1.0, 5.0], robot=0)
     survey.robots[0].remaining = 5.65  # less than the way to its end
     survey.robots[1].remaining = 8.0 if goal == "map" else 6.5
     together = ways(survey)
@@ -155,13 +157,16 @@ def test_a_team_that_is_killed_between_two_steps_goes_on(tmp_path):
 def test_measurements_belong_to_their_robot():
     survey = team(start=[1.0, 1.0])
     survey.observe([[2.0, 1.0]], [1.0], times=[5.0], robot=1)
-    survey.observe([[1.0, 3.0]], [1.0], times=[4.0])
+    survey.observe([[1.0, 3.0]], [1.0], times=[4.0], robot=0)
     survey.observe([[2.0, 1.5]], [1.0], times=[4.0], robot=1)
     assert survey.counts["time_backwards"] == 1
     assert [robot.remaining for robot in survey.robots] == pytest.approx([10.0, 10.5])
     np.testing.assert_array_equal([robot.position for robot in survey.robots], [[1.0, 3.0], [2.0, 1.5]])
     with pytest.raises(ValueError, match="robot: got 2; allowed: 0 to 1"):
         survey.observe([], [], robot=2)
+    with pytest.raises(ValueError, match="robot: got None; allowed: 0 to 1"):
+        survey.observe([[1.0, 3.5]], [1.0])
+    assert survey.num_measurements == 3
 
 
 @pytest.mark.parametrize(
