@@ -90,6 +90,12 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             place = place.noted(f"All places count alike: {reason}nothing tells them apart for this goal.")
         if not keep_separation(survey.chosen.routes, args.separation):
             place = place.noted(f"No lawnmowers keep a separation of {args.separation:g} m.")
+        if args.robots == 1 and args.separation > 0.0:
+            place = place.noted("--separation: one robot does not use it.")
+        if budget is not None and args.spacing is not None:
+            place = place.noted(
+                "--spacing: with a budget, it is only the least distance between the lines of lawnmowers."
+            )
         if args.robots > 1:
             place = place.noted("simulation-N.yaml has robot N alone, without what others measure.")
         for note in place.notes:

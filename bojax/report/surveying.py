@@ -83,7 +83,8 @@ def _lawnmower(survey: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _distance(metres: float) -> str:
-    return f"{metres / 1000:.2f} km" if metres >= 1000 else f"{metres:.3g} m"
+    # From 999.5 m, three digits of metres would be 1e+03.
+    return f"{metres / 1000:.2f} km" if metres >= 999.5 else f"{metres:.3g} m"
 
 
 def _unit(extent: float) -> tuple[str, float]:

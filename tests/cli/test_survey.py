@@ -16,7 +16,7 @@ from bojax.cli.main import main  # noqa: E402
 from bojax.config.sweep import load_config, load_sweep  # noqa: E402
 from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.engine.build import build  # noqa: E402
-from bojax.report.surveying import survey_summary  # noqa: E402
+from bojax.report.surveying import _distance, survey_summary  # noqa: E402
 from bojax.surveys import model, planning, simulated  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
@@ -324,3 +324,22 @@ def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
         found, steps = (pq.read_table(runs / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
         assert found["success"] == [True] and found["collisions"] == [0] and found["exits"] == [0]
         assert max(steps["distance"]) <= 500.0 + 1e-6
+
+
+def test_what_a_survey_does_not_use_is_noted(tmp_path, capsys):
+    words = ["survey", "300x200", "--budget", "999.7", "--lawnmower"]
+    assert main([*words, "--out", str(tmp_path / "plain")]) == 0
+    assert "note: --" not in capsys.readouterr().out
+    assert main([*words, "--spacing", "25", "--separation", "5", "--out", str(tmp_path / "noted")]) == 0
+    printed = capsys.readouterr().out
+    assert "note: --separation: one robot does not use it." in printed
+    assert "note: --spacing: with a budget, it is only the least distance between the lines" in printed
+    plain, noted = ((tmp_path / name / "waypoints.csv").read_bytes() for name in ("plain", "noted"))
+    assert plain == noted
+
+
+@pytest.mark.parametrize(
+    ("metres", "shown"), [(812.4, "812 m"), (999.4, "999 m"), (999.6, "1.00 km"), (1000.0, "1.00 km")]
+)
+def test_a_length_below_a_kilometre_has_no_exponent(metres, shown):
+    assert _distance(metres) == shown
