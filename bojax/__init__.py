@@ -22,6 +22,8 @@ _HOMES = {
     "OptimisationResult": "optimisation",
     "Area": "mission",
     "Mission": "mission",
+    "Place": "mission",
+    "read_place": "mission",
     "part": "parts",
     "load": "results",
     "plot_gp": "plots",

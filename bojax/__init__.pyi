@@ -2,6 +2,8 @@ from bojax.api.errors import BojaxError as BojaxError
 from bojax.api.errors import Interrupted as Interrupted
 from bojax.api.mission import Area as Area
 from bojax.api.mission import Mission as Mission
+from bojax.api.mission import Place as Place
+from bojax.api.mission import read_place as read_place
 from bojax.api.optimisation import OptimisationResult as OptimisationResult
 from bojax.api.optimiser import ObjectiveError as ObjectiveError
 from bojax.api.optimiser import Optimiser as Optimiser

@@ -1,5 +1,7 @@
 """`bojax.survey` is `bojax survey`."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -22,3 +24,21 @@ def test_a_rectangle_is_surveyed(tmp_path):
 def test_a_mistake_is_an_error_of_one_line(tmp_path):
     with pytest.raises(bojax.BojaxError, match=r"^--start: got 500,5, which is not in the area"):
         bojax.survey((200.0, 100.0), start=(500.0, 5.0), out=tmp_path / "out")
+
+
+def test_the_area_of_a_mission_is_read_from_a_file(tmp_path):
+    border, hole = (
+        [[x, y], [z, y], [z, w], [x, w], [x, y]] for x, y, z, w in ((0, 0, 2, 1), (1, 0.4, 1.2, 0.6))
+    )
+    rings = [[[9.0 + 0.01 * x, 54.0 + 0.01 * y] for x, y in ring] for ring in (border, hole)]
+    file = tmp_path / "lake.geojson"
+    file.write_text(json.dumps({"type": "Polygon", "coordinates": rings}))
+    place = bojax.read_place(file)
+    start = place.point((9.005, 54.005), "start")
+    mission = bojax.Mission(place.area, 3000.0, start, spacing=5.0)
+    np.testing.assert_allclose(place.projection.from_local(mission.position), [9.005, 54.005])
+    assert place.area.contains(np.array([start, [2.2 * start[0], start[1]]])).tolist() == [True, False]
+    with pytest.raises(ValueError, match="^start: got 9.011,54.005, which is not in the area"):
+        place.point((9.011, 54.005), "start")
+    with pytest.raises(ValueError, match=r"lake2.geojson: No such file"):
+        bojax.read_place(tmp_path / "lake2.geojson")
