@@ -13,7 +13,7 @@ from typing_extensions import override
 from bojax.api.results import Picture
 from bojax.optimisation.drawing import draw_progress, draw_slice
 from bojax.optimisation.search import Search
-from bojax.optimisation.space import Axis, slice_along
+from bojax.optimisation.space import Axis, checked_point, slice_along
 from bojax.report import style
 from bojax.report.drawing.base import panel_grid
 
@@ -85,13 +85,17 @@ class OptimisationResult:
         """Mean and standard deviation of the function at points, without noise.
 
         Raises:
-            ValueError: No evaluation has succeeded, or `points` is a single point.
+            ValueError: No evaluation has succeeded, `points` is empty or a single point, or a point is not in
+                the space.
         """
         if isinstance(points, Mapping):
             raise ValueError("points: got a single point; allowed: a list of points, such as [point]")
         if self.search is None:
             raise ValueError("no evaluation has succeeded")
-        values = [tuple(point[axis.key] for axis in self.axes) for point in points]
+        checked = [checked_point(self.axes, point) for point in points]
+        if not checked:
+            raise ValueError("points: got []; allowed: at least one point")
+        values = [tuple(point[axis.key] for axis in self.axes) for point in checked]
         mean, std = self.search.predict(values)
         return (mean if self.is_maximised else -mean), std
 

@@ -1,6 +1,7 @@
 """Bayesian optimisation of a function of the user's: `minimise`, `maximise`, and step by step."""
 
 import math
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ from bojax.api.optimisation import Evaluation, OptimisationResult
 from bojax.config.errors import shown
 from bojax.engine.bar import Bar
 from bojax.optimisation.search import Search, Values
-from bojax.optimisation.space import SpaceError, read_space
+from bojax.optimisation.space import checked_point, read_space
 from bojax.text import error_line
 
 LEAST_CAPACITY = 32
@@ -69,10 +70,14 @@ class Optimiser:
 
         Raises:
             SpaceError: The space is wrong; a `ValueError`.
-            ValueError: A number is too small.
+            ValueError: A number is too small, or the seed is not an integer.
         """
         self._axes = read_space(space)
-        self._sign, self._is_noisy, self._seed = (1.0 if maximise else -1.0), bool(noisy), int(seed)
+        self._sign, self._is_noisy, self._seed = (
+            (1.0 if maximise else -1.0),
+            bool(noisy),
+            _integer("seed", seed),
+        )
         self._batch = _count("batch", batch)
         self._initial = min(16, 2 + 2 * len(self._axes)) if initial is None else _count("initial", initial)
         self._evaluations: list[Evaluation] = []
@@ -120,7 +125,7 @@ class Optimiser:
             ValueError: A point is not in the space, or a value is not a number.
         """
         told = [
-            Evaluation(self._checked(point), _number(value))
+            Evaluation(checked_point(self._axes, point), _number(value))
             for point, value in zip(points, values, strict=True)
         ]
         self._evaluations += told
@@ -153,12 +158,6 @@ class Optimiser:
 
     def _score(self, evaluation: Evaluation) -> float:
         return self._sign * evaluation.value if evaluation.is_finite() else math.nan
-
-    def _checked(self, point: Mapping[str, Any]) -> dict[str, Any]:
-        names = [axis.key for axis in self._axes]
-        if not isinstance(point, Mapping) or set(point) != set(names):
-            raise SpaceError(f"point: got {shown(point)}; allowed: a value for each of {', '.join(names)}")
-        return {axis.key: axis.checked(point[axis.key]) for axis in self._axes}
 
 
 def minimise(
@@ -252,6 +251,8 @@ def _begun(
 def _optimised(
     optimiser: Optimiser, function: Callable[..., float], budget: int, workers: Workers, progress: bool
 ) -> OptimisationResult:
+    if not callable(workers):
+        raise ValueError(f"workers: got {shown(workers)}; allowed: a function such as pool.map")
     done = 0
     with Bar("optimising", budget, Console(stderr=True, quiet=not progress)) as bar:
         try:
@@ -298,6 +299,13 @@ def _count(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 1:
         raise ValueError(f"{name}: got {shown(value)}; allowed: an integer >= 1")
     return value
+
+
+def _integer(name: str, value: Any) -> int:
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise ValueError(f"{name}: got {shown(value)}; allowed: an integer") from None
 
 
 def _number(value: Any) -> float:

@@ -49,6 +49,8 @@ def read_polygons(file: str) -> Polygons:
         found, crs = _of_kml(text) if is_kml else _of_geojson(json.loads(text))
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror or one_line(error)}") from error
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{file}: is not JSON: {one_line(error)}") from error
     except (ValueError, TypeError, KeyError, AttributeError, ElementTree.ParseError) as error:
         reason = one_line(error) if isinstance(error, ValueError | ElementTree.ParseError) else "damaged"
         raise ValueError(f"{file}: {reason}") from error

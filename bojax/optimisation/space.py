@@ -124,6 +124,18 @@ class Choice:
 Axis: TypeAlias = Range | Choice
 
 
+def checked_point(axes: Sequence[Axis], point: Any) -> dict[str, Any]:
+    """A point that a user gives: a value for each axis.
+
+    Raises:
+        SpaceError: A name is missing or unknown, or a value is not one of its axis.
+    """
+    names = [axis.key for axis in axes]
+    if not isinstance(point, Mapping) or set(point) != set(names):
+        raise SpaceError(f"point: got {shown(point)}; allowed: a value for each of {', '.join(names)}")
+    return {axis.key: axis.checked(point[axis.key]) for axis in axes}
+
+
 def slice_along(axis: Axis) -> list[Any]:
     """The values of a slice through a model: all choices, or evenly spaced values of a range, in order."""
     if isinstance(axis, Choice):

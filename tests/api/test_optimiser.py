@@ -190,12 +190,30 @@ def test_step_by_step_with_points_of_ones_own_and_more_than_the_capacity():
             lambda: bojax.minimise(objective, SPACE, known=[({"rate": 1.0, "depth": 0, "kind": "a"}, 0.0)]),
             "depth: got 0; allowed: an integer from 1 to 8",
         ),
+        (lambda: bojax.minimise(objective, SPACE, workers=4), "workers: got 4; allowed: a function such as"),
+        (lambda: bojax.maximise(objective, SPACE, seed="a"), 'seed: got "a"; allowed: an integer'),
         (lambda: bojax.Optimiser(SPACE).ask_batch(2), "number: got 2; allowed: from 1 to 1"),
     ],
 )
 def test_wrong_arguments_end_in_one_line(use, message):
     with pytest.raises(ValueError, match="got") as caught:
         use()
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([], "points: got []; allowed: at least one point"),
+        ([{"rate": 1.0}], "allowed: a value for each of rate"),
+        ([{"rate": 1.0, "depth": 2, "kind": "zzz"}], 'kind: got "zzz"; allowed: "b", "c", "a"'),
+        ([{"rate": 1.0, "depth": 2.5, "kind": "a"}], "depth: got 2.5; allowed: an integer from 1 to 8"),
+        ([{"rate": 1.0, "depth": 9, "kind": "a"}], "depth: got 9; allowed: an integer from 1 to 8"),
+    ],
+)
+def test_points_to_predict_are_checked_as_told_ones_are(found, points, message):
+    with pytest.raises(ValueError, match="got") as caught:
+        found.predict(points)
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 

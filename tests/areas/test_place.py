@@ -138,7 +138,7 @@ def test_sizes(text, size):
         ("a.geojson", geojson([["a", 1], [1, 2], [3, 4]]), "polygon 1 of 1: could not convert"),
         ("a.geojson", json.dumps({"type": "Point", "coordinates": [0, 0]}), "holds no polygon"),
         ("a.geojson", "[]", "is not GeoJSON"),
-        ("a.geojson", "{", "Expecting property name"),
+        ("a.geojson", "{", "is not JSON: Expecting property name"),
         ("a.geojson", geojson([[400_000, 0], [400_100, 0], [400_100, 90]]), "longitude, then latitude"),
         ("a.kml", '<!DOCTYPE k [<!ENTITY a "a">]><kml/>', "has a document type"),
         ("a.kml", "<kml>", "no element found"),
