@@ -379,10 +379,11 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
         if has_ended or (number >= _TRIAL_STEPS and is_told):
             break
     if not is_told:
-        wanted, found = " or ".join(env.success_keys), ", ".join(map(str, names)) or "nothing"
+        wanted = " or ".join(env.success_keys)
+        found = f"but {one_line(', '.join(map(str, names)))}" if names else "which is empty"
         raise ValueError(
             f"success: got info; {id} has no {wanted} in the info of an episode of {number} steps, "
-            f"but {one_line(found)}; set success_key, or let each step tell it, also as False"
+            f"{found}; set success_key, or let each step tell it, also as False"
         )
     return names.keys()
 

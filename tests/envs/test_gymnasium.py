@@ -234,16 +234,16 @@ def test_success_that_info_tells_and_nothing_counts_is_noted(registered, capsys)
 
 
 def test_info_that_does_not_tell_success_is_refused(registered):
-    missing = r"success: got info; Odd\d+-v0 has no {} in the info of an episode of {} steps, but {}; set"
+    missing = r"success: got info; Odd\d+-v0 has no {} in the info of an episode of {} steps, {}; set"
     both, value = "is_success or success", r'step returns info\["is_success"\] as {}; allowed: True or False'
     bad = [
-        (lambda n, ends: {}, {}, missing.format(both, 3, "nothing")),
-        (lambda n, ends: {"score": 1, "won": False}, {}, missing.format(both, 3, "score, won")),
-        (lambda n, ends: {"won": 1}, {"ends_after": -1}, missing.format(both, 20, "won")),
+        (lambda n, ends: {}, {}, missing.format(both, 3, "which is empty")),
+        (lambda n, ends: {"score": 1, "won": False}, {}, missing.format(both, 3, "but score, won")),
+        (lambda n, ends: {"won": 1}, {"ends_after": -1}, missing.format(both, 20, "but won")),
         (
             lambda n, ends: {"is_success": True},
             {"success_key": "won"},
-            missing.format("won", 3, "is_success"),
+            missing.format("won", 3, "but is_success"),
         ),
         (lambda n, ends: {"is_success": "yes"}, {}, value.format("'yes'")),
         (lambda n, ends: {"is_success": 0.5}, {}, value.format("0.5")),

@@ -270,6 +270,10 @@ MISTAKES = """\
 => headless/monitor.csv: line 1: allowed: # and JSON with t_start, as Monitor
 --csv lost
 => lost/monitor.csv: no column l; allowed: r, l, t and others
+--csv bare
+=> bare/monitor.csv: lacks its first line #{...}; allowed: # and JSON
+--csv negative
+=> negative/monitor.csv: line 4: l: got -5; allowed: a length >= 0
 --csv short
 => short/monitor.csv: has no rows; allowed: at least one below the header
 --csv two.csv
@@ -324,6 +328,8 @@ class TestMistakes:
         write(here / "infinite.csv", WANDB.replace("20.1", "Infinity"))
         write(here / "headless" / "monitor.csv", MONITOR.replace('"t_start"', '"start"'))
         write(here / "lost" / "monitor.csv", MONITOR.replace("r,l,t", "r,length,t"))
+        write(here / "bare" / "monitor.csv", MONITOR.partition("\n")[2])
+        write(here / "negative" / "monitor.csv", MONITOR.replace("-900.25,200", "-900.25,-5"))
         write(here / "short" / "monitor.csv", "\n".join(MONITOR.split("\n")[:2]))
         write(here / "two.csv", "Step,a - loss,a - value\n1,2,3\n")
         np.savez(here / "scores.npz", a=np.zeros((3, 2)), b=np.zeros((3, 1)))
@@ -350,6 +356,8 @@ class TestMistakes:
         path = write_events(here / "bad" / "events.out.tfevents.1", [event(1, "return", 1.0)])
         path.write_bytes(path.read_bytes()[:12] + b"\xff" * 40)
         message = "bad/events.out.tfevents.1: is damaged; allowed: an event"
+        assert refusal("compare --csv bad").startswith(message)
+        write(here / "bad" / "events.out.tfevents.1", "this is no event file at all")
         assert refusal("compare --csv bad").startswith(message)
         back = [event(5000, "return", 1.0), event(100, "return", 2.0)]
         write_events(here / "restarted" / "events.out.tfevents.1", back)

@@ -67,12 +67,16 @@ def _records(path: Path) -> Iterator[bytes]:
     """The records of a TFRecord file, without a last one that is still being written."""
     try:
         with path.open("rb") as file:
+            is_first = True  # a writer completes its first record, the version, at once
             left = os.fstat(file.fileno()).st_size
             while len(header := file.read(_HEADER.size)) == _HEADER.size:
                 length = _HEADER.unpack(header)[0] + _CHECKSUM
                 left -= _HEADER.size + length
                 if left < 0:
+                    if is_first:
+                        raise ResultsError(f"{path}: is damaged; allowed: an event file of TensorBoard")
                     return
+                is_first = False
                 yield file.read(length)[:-_CHECKSUM]
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read: {error.strerror or error}") from None

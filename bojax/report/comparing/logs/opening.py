@@ -98,6 +98,11 @@ def _of_files(paths: Sequence[Path]) -> Columns:
             text = text_of(path)
             if text_tables.is_monitor(text):
                 monitors.append((path, text))
+            elif path.name.endswith("monitor.csv") and text_tables.is_bare_monitor(text):
+                raise ResultsError(
+                    f"{path}: lacks its first line #{{...}}; "
+                    "allowed: # and JSON with t_start, as Monitor writes"
+                )
             elif text_tables.PROGRESS_STEPS in text.partition("\n")[0]:
                 columns = {**columns, **text_tables.progress_columns(text_tables.table_of(path, text))}
     if events:
