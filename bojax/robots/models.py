@@ -39,7 +39,8 @@ class RobotModel:
                 return mujoco.MjSpec.from_string(self.xml)
             return mujoco.MjSpec.from_file(self.path)
         except ValueError as error:
-            raise ValueError(one_line(error)) from error
+            name = "" if self.path is None else f"{Path(self.path).name}: "
+            raise ValueError(f"{name}{one_line(error)}") from error
 
     def compiled(self) -> MjModel:
         """The compiled model, cached.

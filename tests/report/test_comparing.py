@@ -8,11 +8,12 @@ import pytest
 from scipy import stats
 
 from bojax.cli.main import main
+from bojax.envs.settings import Brax, Gymnasium, MountainCar
 from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
 from bojax.report.comparing.curve_files import Rows, read_curves
-from bojax.report.comparing.methods import Measure, named, of_file, of_folder
+from bojax.report.comparing.methods import Measure, named, of_file, of_folder, task_of
 from bojax.report.comparing.scoring import scored, tasks_of
 from bojax.report.source import load
 from bojax.results.store import ResultsError
@@ -583,3 +584,14 @@ class TestMistakes:
     def test_a_good_command_writes_one_page(self, here, capsys):
         assert main(["compare", "car", "--csv", "good.csv", "--metric=-return", "--out", "out"]) == 0
         assert capsys.readouterr().out == "out/comparison.html\n"
+
+
+def test_environments_of_other_libraries_are_tasks_of_their_own():
+    worlds = [
+        Gymnasium(id="MountainCarContinuous-v0"),
+        Gymnasium(id="my_pend:Rail-v0"),
+        Brax(name="reacher"),
+        MountainCar(),
+    ]
+    tasks = ["MountainCarContinuous-v0", "my_pend:Rail-v0", "reacher", "mountain-car"]
+    assert [task_of(world) for world in worlds] == tasks

@@ -336,6 +336,9 @@ def test_what_a_file_of_ones_own_includes_lies_beside_it(tmp_path):
     scene.write_text("<mujoco><worldbody><include file='leg.xml'/></worldbody></mujoco>")
     with pytest.raises(ValueError, match=r"leg\.xml"):
         from_file(scene).spec()
+    scene.write_text("<mujoco><worldbody>")
+    with pytest.raises(ValueError, match=r"^scene\.xml: .*XML"):
+        from_file(scene).spec()
 
 
 def test_a_file_of_ones_own_that_is_missing_says_so_in_a_line(tmp_path):

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bojax.config.errors import allowed_names
+from bojax.envs.settings import Brax, Gymnasium
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
 from bojax.report.budgets import Series, budget_of
@@ -198,6 +199,17 @@ def columns_of(results: Results) -> list[str]:
     return list(dict.fromkeys([*found, *results.measured(results.episodes), *results.measured(results.runs)]))
 
 
+def task_of(world: Any) -> str:
+    """The name of the task of a world: its kind, or its own name if another library has it."""
+    match world:
+        case Gymnasium():
+            return world.id
+        case Brax():
+            return world.name
+        case _:
+            return world.kind
+
+
 def of_folder(results: Results, measure: Measure) -> list[Method]:
     """The points of a results folder that have runs, without scores."""
     known = columns_of(results)
@@ -215,7 +227,7 @@ def of_folder(results: Results, measure: Measure) -> list[Method]:
             Method(
                 point,
                 results.folder,
-                "" if world is None else world.kind,
+                "" if world is None else task_of(world),
                 runs["run"],
                 _series(results, point, measure) if has_curve else _single_values(results, point, measure),
                 has_curve & (runs.get("nans", np.zeros(runs["run"].size)) > 0),
