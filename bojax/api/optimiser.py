@@ -73,11 +73,8 @@ class Optimiser:
             ValueError: A number is too small, or the seed is not an integer.
         """
         self._axes = read_space(space)
-        self._sign, self._is_noisy, self._seed = (
-            (1.0 if maximise else -1.0),
-            bool(noisy),
-            _integer("seed", seed),
-        )
+        self._sign, self._is_noisy = (1.0 if maximise else -1.0), bool(noisy)
+        self._seed = _integer("seed", seed)
         self._batch = _count("batch", batch)
         self._initial = min(16, 2 + 2 * len(self._axes)) if initial is None else _count("initial", initial)
         self._evaluations: list[Evaluation] = []

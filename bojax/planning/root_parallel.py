@@ -27,7 +27,7 @@ def recommended_by_all(
         space: Space of the actions.
         roots: Actions of the roots, with a leading axis of K trees.
         lengthscale: The length l.
-        by_value: Whether the highest value is recommended, or else the most visits, weighted alike.
+        by_value: Whether the highest value is recommended, or else the most visits, weighted by similarity.
     """
     nominees = jax.vmap(lambda root: root.recommended(by_value).parameters)(roots)
     parameters, visits, returns = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in roots)
