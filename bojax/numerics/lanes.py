@@ -25,7 +25,7 @@ TREES = "trees"  # name of the axis over which a plan batches independent search
 def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
     """Whether `flag` holds in any lane of this device; `flag` itself outside the engine.
 
-    Where a run batches episodes, or a plan trees, whether it holds in any of any lane.
+    Where a run also batches episodes, or a plan batches trees, whether it holds in any of these of any lane.
     """
     # A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
     # would add a select of the whole carry to every iteration.
