@@ -184,7 +184,7 @@ def suited(devices: Sequence[Device], *, prefers_cpu: bool) -> list[Device]:
 
     Args:
         devices: The devices of this process.
-        prefers_cpu: Whether the CPU is taken if there are GPUs too, since it is quicker for all experiments.
+        prefers_cpu: Whether the CPU is taken if there are GPUs too, since it is quick enough for all groups.
     """
     cpus = of_platform(devices, "cpu")
     others = [device for device in devices if device not in cpus]

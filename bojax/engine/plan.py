@@ -65,9 +65,12 @@ def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
         ConfigError: A point cannot be built or needs too much memory, or there are too many chunks.
         ResultsError: A saved learner cannot be read.
     """
-    modules = _modules(sweep)
-    used = suited(devices, prefers_cpu=all(module.prefers_cpu for module in modules))
-    return _make_plan(sweep, modules, device_description(used))
+    modules, groups = _grouped(sweep)
+    prefers_cpu = all(
+        len(group.points) * sweep.runs <= modules[group.points[0]].runs_on_cpu for group in groups
+    )
+    used = suited(devices, prefers_cpu=prefers_cpu)
+    return _make_plan(sweep, modules, groups, device_description(used))
 
 
 def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:
@@ -85,18 +88,22 @@ def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapp
     ]
     of_worker = replace(sweep, points=tuple(points))
     with for_another_machine():
-        return replace(_make_plan(of_worker, _modules(of_worker), device), sweep=sweep)
+        return replace(_make_plan(of_worker, *_grouped(of_worker), device), sweep=sweep)
 
 
-def _modules(sweep: "Sweep") -> list[Experiment]:
-    """The experiment of each point."""
-    with on_cpu():
-        return [_build(sweep, point) for point in sweep.points]
-
-
-def _make_plan(sweep: "Sweep", modules: Sequence[Experiment], device: Mapping[str, Any]) -> Plan:
+def _grouped(sweep: "Sweep") -> tuple[list[Experiment], list[StaticGroup]]:
+    """The experiment of each point, and the groups of these experiments."""
     with on_cpu():  # the numbers of a point become NumPy arrays, which go to the device group by group
-        groups = static_groups(modules)
+        modules = [_build(sweep, point) for point in sweep.points]
+        return modules, static_groups(modules)
+
+
+def _make_plan(
+    sweep: "Sweep",
+    modules: Sequence[Experiment],
+    groups: Sequence[StaticGroup],
+    device: Mapping[str, Any],
+) -> Plan:
     for group in groups:
         first = group.points[0]
         check_memory(modules[first], sweep.points[first].config, functools.partial(sweep.locate, first))

@@ -56,9 +56,9 @@ class Experiment(eqx.Module):
         return 16
 
     @property
-    def prefers_cpu(self) -> bool:
-        """Whether `engine.device: auto` is the CPU, whose cores advance runs more quickly than a GPU."""
-        return False
+    def runs_on_cpu(self) -> int:
+        """Largest number of runs of a static group for which `engine.device: auto` is the CPU."""
+        return 0
 
     @property
     def has_stragglers(self) -> bool:

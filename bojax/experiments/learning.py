@@ -161,8 +161,8 @@ class LearningRun(Experiment):
 
     @property
     @override
-    def prefers_cpu(self) -> bool:
-        return self.learner.prefers_cpu
+    def runs_on_cpu(self) -> int:
+        return self.learner.runs_on_cpu
 
     @property
     @override

@@ -65,11 +65,12 @@ class Learner(eqx.Module):
     Attributes:
         block: Number of steps between two calls of `flush`.
         lanes_on_cpu: Largest number of lanes per CPU device at which a batch is still fast.
-        prefers_cpu: Whether a few CPU cores are faster than a GPU, as a step computes only a few numbers.
+        runs_on_cpu: Largest number of runs of a static group that the CPU advances although there is a GPU,
+            because a step computes only a few numbers.
     """
 
     lanes_on_cpu: ClassVar[int] = 64
-    prefers_cpu: ClassVar[bool] = False
+    runs_on_cpu: ClassVar[int] = 0
 
     block: eqx.AbstractVar[int]
 

@@ -51,8 +51,9 @@ class TabularLearner(Learner):
 
     # The 200 runs of a point then fill two cores.
     lanes_on_cpu: ClassVar[int] = 100
-    # A step is a few numbers: on two cores, Table 5.1 takes as long as on one H200.
-    prefers_cpu: ClassVar[bool] = True
+    # With 200 runs, Table 5.1 takes as long on two cores as on one H200, which is left to other groups. With
+    # 2,000 runs, an H100 does the work of 20 to 70 cores (benchmarks/results/2026-11-27-h100-tabular.md).
+    runs_on_cpu: ClassVar[int] = 1000
 
     discount: Float[Array, ""]
     learning_rate: Float[Array, ""]

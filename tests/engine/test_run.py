@@ -168,7 +168,8 @@ def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, mo
     gpu = Accelerator(other)
     monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: [gpu, cpu])
     monkeypatch.setattr(tasks, "Programs", OnReal)
-    monkeypatch.setattr(Toy, "prefers_cpu", property(lambda self: self.max_length == 15))
+    few = RUNS * 2  # two points
+    monkeypatch.setattr(Toy, "runs_on_cpu", property(lambda self: few if self.max_length == 15 else few - 1))
     quick, usual = toy_sweep({"max_length": 15}, runs=RUNS), toy_sweep(runs=RUNS)
     requests = [Request(quick, tmp_path / "quick"), Request(usual, tmp_path / "usual")]
     assert run_sweeps(requests, False, ["bojax"]) == 0

@@ -17,7 +17,7 @@ COMPARED = ["additive", "bootstrapped-q", "dora", "emu-q", "exploration-values",
 def test_a_learner_learns_and_is_tested(kind, check):
     settings = {"env": CHAIN, "learner": tiny("learner", kind).model_dump(), "episodes": 2, "tests": 1}
     run = build(Learning.model_validate(settings))
-    assert run.prefers_cpu == isinstance(run.learner, TabularLearner)
+    assert (run.runs_on_cpu > 0) == isinstance(run.learner, TabularLearner)
     check(run.learner, of_experiment(lambda run: run.learner, learned), run)
 
 
