@@ -1,7 +1,6 @@
 """Learning a field from noisy samples along trajectories: all of the problem but its scores."""
 
 import abc
-from dataclasses import replace
 from typing import Any, Literal
 
 import equinox as eqx
@@ -328,7 +327,10 @@ class FieldProblem(PathProblem):
 
     @override
     def with_objective(self, objective: FieldObjective | None) -> "FieldProblem":
-        return self if objective is None else replace(self, objective=objective)
+        if objective is None:
+            return self
+        # No `replace`: the checks of the constructor read numbers, which a traced problem does not have.
+        return eqx.tree_at(lambda problem: problem.objective, self, objective)
 
     def _places(self, posterior: GaussianProcess) -> Places:
         """Points of the domain without its walls, for `InformationObjective`."""

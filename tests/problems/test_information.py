@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+import bojax
 from bojax.problems.field_problem import PLACES
 from bojax.problems.objectives import EntropyObjective, InformationObjective
 from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
@@ -94,6 +95,19 @@ def test_a_planner_may_plan_for_information_in_another_task():
     np.testing.assert_array_equal(found, expected)
     assert problem.with_objective(None) is problem
     assert problem.with_objective(OBJECTIVES["value"]).root(belief, 2)[0].places is None
+
+
+@pytest.mark.parametrize("kind", ["hilly-terrain", "indoor-props"])
+def test_an_objective_is_exchanged_inside_of_a_compiled_plan(kind):
+    """The checks of the constructor, such as that of the altitude, are not run on traced numbers."""
+    problem = bojax.part(kind)
+
+    @jax.jit
+    def exchanged(problem):
+        return problem.with_objective(INFORMATION)
+
+    assert exchanged(problem).objective == INFORMATION
+    assert problem.objective != INFORMATION
 
 
 def test_a_sample_beside_another_explains_little():
