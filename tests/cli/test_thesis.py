@@ -7,7 +7,7 @@ import pytest
 
 from bojax.cli.main import main
 from bojax.config.files import available
-from bojax.config.sweep import load_sweep
+from bojax.config.sweep import Sweep, load_sweep
 from bojax.results.store import read_table
 from tests.examples.pages import ROOT
 
@@ -35,14 +35,19 @@ def test_claims_are_reproduced(name, tmp_path):
 def test_every_study_runs(name, tmp_path):
     """Two short runs of every point; settings that the study sweeps keep their values."""
     sweep = load_sweep(str(ROOT / "sweeps" / f"{name}.yaml"))
-    short = {"planner.iterations": 2, "problem.max_steps": 2}
+    short = {"planner.iterations": 2, f"problem.{_inner(sweep, 'problem')}max_steps": 2}
     if sweep.base["experiment"] == "learning":
-        short = {"episodes": 1, "tests": 1, "env.max_steps": 20}
+        short = {"episodes": 1, "tests": 1, f"env.{_inner(sweep, 'env')}max_steps": 20}
     if any(hasattr(getattr(point.config, "env", None), "physics") for point in sweep.points):
         short["env.physics.impl"] = "c"  # MJX in JAX takes longer to compile, and has tests of its own
     words = [f"{key}={value}" for key, value in short.items() if key not in sweep.points[0].swept]
     assert main(["sweep", str(sweep.source), *words, "--runs", "2", "--out", str(tmp_path)]) == 0
     assert len(read_table(tmp_path / "runs.parquet")) == 2 * len(sweep.points)
+
+
+def _inner(sweep: Sweep, part: str) -> str:
+    """`problem.` where a problem or an environment is made from another problem, which has the time limit."""
+    return "problem." if hasattr(getattr(sweep.points[0].config, part, None), "problem") else ""
 
 
 def test_the_first_runs_of_many_are_those_of_few(tmp_path):
