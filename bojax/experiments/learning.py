@@ -97,6 +97,14 @@ def env_of_run(env: Env, run: Key[Array, ""]) -> Env:
     return env.of_run(jax.random.fold_in(run, _OF_RUN))
 
 
+def _exploring(tests_learn: Literal["no", "exploiting", "exploring"]) -> Bool[Array, ""] | None:
+    """Whether a learner learns from exploration rewards in its tests; None if it does not learn there.
+
+    A Boolean array, unlike a text, can differ between the lanes of one program.
+    """
+    return None if tests_learn == "no" else jnp.asarray(tests_learn == "exploring")
+
+
 class LearningRun(Experiment):
     """Episodes of a learner in an environment; an advance is one training episode and the tests after it.
 
@@ -113,7 +121,7 @@ class LearningRun(Experiment):
     starts: Starts = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
-    tests_learn: Literal["no", "exploiting", "exploring"] = eqx.field(static=True)
+    tests_learn: Bool[Array, ""] | None = eqx.field(converter=_exploring)
     map_episodes: tuple[int, ...] = eqx.field(static=True)
     map_resolution: int = eqx.field(static=True)
 
@@ -301,10 +309,11 @@ class LearningRun(Experiment):
     def test(self, carry: RunState, number: Int[Array, ""]) -> Phase:
         """A test episode after the training episode; the first one has number 1."""
         exploration = self.training(carry).exploration
-        if self.tests_learn == "exploiting":
-            exploration = replace(exploration, scale=self.exploiting.scale)
-        if not self.learns_in_tests:
+        if self.tests_learn is None:
             exploration = self.exploiting
+        else:
+            scale = jnp.where(self.tests_learn, exploration.scale, self.exploiting.scale)
+            exploration = replace(exploration, scale=scale)
         return self._phase(carry, 2 * number, self.exploiting, exploration, learns=self.learns_in_tests)
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
@@ -405,7 +414,7 @@ class LearningRun(Experiment):
     @property
     def learns_in_tests(self) -> bool:
         """Whether tests change the learner."""
-        return self.tests_learn != "no"
+        return self.tests_learn is not None
 
     @property
     def exploiting(self) -> ExplorationState:

@@ -70,7 +70,7 @@ class Budget(Schedule):
 
     episodes: Float[Array, ""]
     resume_after: Float[Array, ""] | None
-    learns_without: bool = eqx.field(static=True)
+    learns_without: Bool[Array, ""]
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
@@ -87,7 +87,7 @@ class UntilTarget(Schedule):
     Settings: `bojax.learning.settings.UntilTarget`.
     """
 
-    learns_after: bool = eqx.field(static=True)
+    learns_after: Bool[Array, ""]
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
