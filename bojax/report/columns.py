@@ -1,12 +1,13 @@
 """Reads tables and snapshots of a results folder as arrays."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bojax.config.errors import did_you_mean
 from bojax.results.store import ResultsError, read_table
@@ -16,11 +17,60 @@ class NoColumn(ResultsError):
     """A table lacks a column; the message names it."""
 
 
-class Columns(dict[str, NDArray[Any]]):
-    """A table as one array per column; a null is NaN in a column of numbers and None elsewhere."""
+class Columns(MutableMapping[str, NDArray[Any]]):
+    """A table as one array per column; a null is NaN in a column of numbers and None elsewhere.
 
-    def __missing__(self, name: str) -> NDArray[Any]:
-        raise NoColumn(f"the results have no column {name}{did_you_mean(name, self)}")
+    Columns of Arrow become arrays when they are asked for: a table of 10^8 episodes has columns of text that
+    few readers need, and others are needed for some points alone.
+    """
+
+    def __init__(self, columns: Mapping[str, NDArray[Any] | pa.ChunkedArray] | None = None):
+        self._columns = dict(columns or {})
+
+    @override
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._columns:
+            raise NoColumn(f"the results have no column {name}{did_you_mean(name, self)}")
+        values = self._columns[name]
+        if not isinstance(values, np.ndarray):
+            is_key = name in ("point", "run", "episode", "step")
+            values = self._columns[name] = (values.cast(pa.int64()) if is_key else values).to_numpy()
+        return values
+
+    @override
+    def __setitem__(self, name: str, values: NDArray[Any]) -> None:
+        self._columns[name] = values
+
+    @override
+    def __delitem__(self, name: str) -> None:
+        del self._columns[name]
+
+    @override
+    def __contains__(self, name: object) -> bool:
+        return name in self._columns
+
+    @override
+    def get(self, key: str, default: Any = None) -> Any:
+        return self[key] if key in self else default
+
+    @override
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    @override
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def rows(self, parts: Sequence[slice]) -> "Columns":
+        """The rows of some slices, one after the other; a single one is a view."""
+        return Columns({name: _rows(values, parts) for name, values in self._columns.items()})
+
+
+def _rows(values: NDArray[Any] | pa.ChunkedArray, parts: Sequence[slice]) -> NDArray[Any] | pa.ChunkedArray:
+    if isinstance(values, np.ndarray):
+        return values[parts[0]] if len(parts) == 1 else np.concatenate([values[part] for part in parts])
+    pieces = [values.slice(part.start, part.stop - part.start) for part in parts]
+    return pa.chunked_array([each for piece in pieces for each in piece.chunks], values.type)
 
 
 def read_columns(path: Path) -> Columns:
@@ -29,11 +79,8 @@ def read_columns(path: Path) -> Columns:
     Raises:
         ResultsError: The file cannot be read.
     """
-    columns = Columns()
-    for name, values in zip((table := read_table(path)).column_names, table.columns, strict=True):
-        is_key = name in ("point", "run", "episode", "step")
-        columns[name] = (values.cast(pa.int64()) if is_key else values).to_numpy()
-    return columns
+    table = read_table(path)
+    return Columns(dict(zip(table.column_names, table.columns, strict=True)))
 
 
 def where(columns: Columns, **values: Any) -> Columns:

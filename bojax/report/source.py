@@ -194,16 +194,15 @@ class Results:
     def only(self, points: Sequence[Point]) -> "Results":
         """The results of some points; the tables of neighbours are views of those of all points."""
         part = replace(self, points=tuple(points))
-        indices = sorted(point.index for point in points)
-        are_neighbours = indices[-1] - indices[0] < len(indices)
+        indices = np.sort([point.index for point in points])
+        first = indices[np.diff(indices, prepend=-2) > 1]  # of each row of neighbours
+        last = indices[np.diff(indices, append=np.iinfo(int).max) > 1]
         for name in ("runs", "steps", "episodes"):
             table: Columns = getattr(self, name)
-            rows: slice | NDArray[np.bool_] = slice(0)
-            if table and are_neighbours:
-                rows = slice(*np.searchsorted(table["point"], [indices[0], indices[-1] + 1]))
-            elif table:
-                rows = np.isin(table["point"], indices)
-            part.__dict__[name] = Columns({key: column[rows] for key, column in table.items()})
+            if table:  # tables are sorted by point
+                bounds = np.searchsorted(table["point"], [first, last + 1]).T.tolist()
+                table = table.rows([slice(*each) for each in bounds])
+            part.__dict__[name] = table
         return part
 
     @property
@@ -250,9 +249,8 @@ class Results:
         key = (point.index, column, phase)
         if key not in self._recorded:
             values = self.episodes[column]
-            is_phase = self.episodes["phase"] == phase
-            last = int(self.episodes["episode"][is_phase].max(initial=0))
-            rows, runs = is_phase & (self.episodes["point"] == point.index), self.runs_of(point)["run"]
+            last = max((self._last_episode(each, phase) for each in self.points), default=0)
+            rows, runs = self._episode_rows(point, phase), self.runs_of(point)["run"]
             cell = np.searchsorted(runs, self.episodes["run"][rows]) * last
             cell += self.episodes["episode"][rows] - 1
             values = values[rows].astype(np.float64)
@@ -264,11 +262,25 @@ class Results:
 
     def episodes_of(self, point: Point, phase: str = "train") -> NDArray[np.int64]:
         """The last training episode of each run, or the last one with a test; 0 without any."""
-        rows = (self.episodes["phase"] == phase) & (self.episodes["point"] == point.index)
-        runs = self.runs_of(point)["run"]
+        rows, runs = self._episode_rows(point, phase), self.runs_of(point)["run"]
         last = np.zeros(runs.size, np.int64)
         np.maximum.at(last, np.searchsorted(runs, self.episodes["run"][rows]), self.episodes["episode"][rows])
         return last
+
+    def _episode_rows(self, point: Point, phase: str) -> NDArray[np.intp]:
+        """The rows of `episodes.parquet`, which is sorted by point, of a phase of a point."""
+        key = (point.index, phase)
+        if key not in self._phase_rows:
+            start, stop = np.searchsorted(self.episodes["point"], [point.index, point.index + 1])
+            self._phase_rows[key] = start + np.flatnonzero(self.episodes["phase"][start:stop] == phase)
+        return self._phase_rows[key]
+
+    def _last_episode(self, point: Point, phase: str) -> int:
+        return int(self.episodes["episode"][self._episode_rows(point, phase)].max(initial=0))
+
+    @cached_property
+    def _phase_rows(self) -> dict[tuple[int, str], NDArray[np.intp]]:
+        return {}
 
     @cached_property
     def _recorded(self) -> dict[tuple[int, str, str], NDArray[np.float64]]:
