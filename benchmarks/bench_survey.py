@@ -1,4 +1,4 @@
-"""CPU seconds of the route that `bojax survey` proposes, and of the plan of a mission, after compilation.
+"""Seconds of the route that `bojax survey` proposes, of the plan of a mission, and of many routes at once.
 
 How good routes are is the league's question: `bojax reproduce surveys`.
 """
@@ -14,6 +14,7 @@ from options import make_parser, positive
 EXAMPLES = """\
   python benchmarks/bench_survey.py                     5 starts, routes of length 20 and 40
   python benchmarks/bench_survey.py --starts 3 --device cpu
+  python benchmarks/bench_survey.py --routes 1000 --device gpu     1,000 routes of length 40 at once
 """
 
 
@@ -27,6 +28,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
     parser.add_argument("--starts", type=positive, default=5, help="number of starts, at most 19 (5)")
+    parser.add_argument(
+        "--routes", type=positive, metavar="N", help="optimise N first guesses at once, in place of the above"
+    )
     return parser.parse_args(argv)
 
 
