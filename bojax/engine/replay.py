@@ -13,7 +13,7 @@ from bojax.engine.build import build
 from bojax.engine.hosted import seed_of
 from bojax.envs.settings import Gymnasium
 from bojax.envs.spaces import Discrete
-from bojax.experiments.learning import reset_key
+from bojax.experiments.learning import reset_key, shares_start
 from bojax.results.store import ResultsError
 
 PICTURE = "rgb_array"
@@ -51,7 +51,8 @@ class Replay:
         with jax.enable_x64(True):
             host = build(env, dtype)
             key = run_key(jax.random.key(seed), jnp.asarray(run, jnp.int32))
-            self._seed = int(seed_of(reset_key(key, jnp.asarray(episode, jnp.int32), 0, starts)))
+            number = jnp.asarray(episode, jnp.int32)
+            self._seed = int(seed_of(reset_key(key, number, 0, shares_start(starts))))
         # Most of them draw with pygame, which then opens no window.
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
         modes = host.make().metadata.get("render_modes") or []

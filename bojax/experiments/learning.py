@@ -84,12 +84,13 @@ def reset_key(
     run: Key[Array, ""],
     episode: Int[Array, ""],
     counter: Int[Array, ""] | int,
-    starts: Starts,
+    shares_start: Bool[Array, ""],
 ) -> Key[Array, ""]:
     """Key of the initial state of an episode, numbered from 1, or with counter 2 n of its test n."""
-    if starts == "per-run":
-        return jax.random.fold_in(run, _START)
-    return jax.random.fold_in(_episode_key(run, episode, counter), 0)
+    # Key data, because JAX's check of key reuse takes a choice between keys for a use of them.
+    of_run = jax.random.key_data(jax.random.fold_in(run, _START))
+    of_episode = jax.random.key_data(jax.random.fold_in(_episode_key(run, episode, counter), 0))
+    return jax.random.wrap_key_data(jnp.where(shares_start, of_run, of_episode))
 
 
 def env_of_run(env: Env, run: Key[Array, ""]) -> Env:
@@ -97,11 +98,16 @@ def env_of_run(env: Env, run: Key[Array, ""]) -> Env:
     return env.of_run(jax.random.fold_in(run, _OF_RUN))
 
 
-def _exploring(tests_learn: Literal["no", "exploiting", "exploring"]) -> Bool[Array, ""] | None:
-    """Whether a learner learns from exploration rewards in its tests; None if it does not learn there.
+# Boolean arrays, unlike texts, can differ between the lanes of one program.
 
-    A Boolean array, unlike a text, can differ between the lanes of one program.
-    """
+
+def shares_start(starts: Starts) -> Bool[Array, ""]:
+    """Whether all episodes of a run have the same initial state."""
+    return jnp.asarray(starts == "per-run")
+
+
+def _exploring(tests_learn: Literal["no", "exploiting", "exploring"]) -> Bool[Array, ""] | None:
+    """Whether a learner learns from exploration rewards in its tests; None if it does not learn there."""
     return None if tests_learn == "no" else jnp.asarray(tests_learn == "exploring")
 
 
@@ -118,7 +124,7 @@ class LearningRun(Experiment):
     saved: LearnerState
     episodes: int = eqx.field(static=True)
     action_repeat: int = eqx.field(static=True)
-    starts: Starts = eqx.field(static=True)
+    starts: Bool[Array, ""] = eqx.field(converter=shares_start)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
     tests_learn: Bool[Array, ""] | None = eqx.field(converter=_exploring)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.base import Env
 from bojax.envs.spaces import Discrete, Space
-from bojax.experiments.learning import Starts, env_of_run, reset_key
+from bojax.experiments.learning import Starts, env_of_run, reset_key, shares_start
 from bojax.numerics.lanes import LANES, any_lane
 
 
@@ -38,7 +38,7 @@ def random_episodes(
 
     Args:
         env: Environment.
-        starts: Whether the episodes of a run share their initial state, as `LearningRun.starts`.
+        starts: Whether the episodes of a run share their initial state, as the setting of the experiment.
         run: Key of the run of each episode.
         number: Number of the episode in its run, from 1.
         hold: Number of steps for which each action is repeated.
@@ -49,7 +49,7 @@ def random_episodes(
 def _episode(
     env: Env, starts: Starts, run: Key[Array, ""], number: Int[Array, ""], hold: Int[Array, ""]
 ) -> RandomEpisode:
-    state = env_of_run(env, run).reset(reset_key(run, number, 0, starts))
+    state = env_of_run(env, run).reset(reset_key(run, number, 0, shares_start(starts)))
     key = jax.random.fold_in(jax.random.fold_in(run, number), 1)
     zero = jnp.zeros((), jnp.int32)
 

@@ -13,7 +13,7 @@ from bojax.config.sweep import load_config
 from bojax.engine import baseline
 from bojax.engine.build import build
 from bojax.envs.settings import Chain, PointMaze
-from bojax.experiments.learning import LearningRun, env_of_run, reset_key
+from bojax.experiments.learning import LearningRun, env_of_run, reset_key, shares_start
 from bojax.experiments.random_baseline import random_episodes
 from bojax.experiments.settings import Learning
 from bojax.results.baseline import FILE
@@ -40,7 +40,9 @@ def plain_episode(env, seed, run, number, hold):
         """A new key each time, since a key is used once."""
         return reduce(jax.random.fold_in, counters, jax.random.key(seed))
 
-    state = env_of_run(env, key_of(run)).reset(reset_key(key_of(run), jnp.asarray(number), 0, "per-episode"))
+    state = env_of_run(env, key_of(run)).reset(
+        reset_key(key_of(run), jnp.asarray(number), 0, shares_start("per-episode"))
+    )
     total, space, action = 0.0, env.action_space, None
     for time in range(env.max_steps):
         choose, move = jax.random.split(key_of(run, number, 1, time))
@@ -93,7 +95,7 @@ def test_a_run_of_random_actions_begins_where_a_run_of_the_learner_does():
     key = jax.random.fold_in(jax.random.key(0), 2)
     carry = eqx.filter_jit(run.init)(key)
     state = jax.jit(lambda carry: run.reset(carry, run.training(carry))[0])(carry)
-    first = reset_key(key, jnp.asarray(1, jnp.int32), 0, config.starts)
+    first = reset_key(key, jnp.asarray(1, jnp.int32), 0, shares_start(config.starts))
     own = jax.jit(lambda key, first: env_of_run(run.env, key).reset(first))(key, first)
     np.testing.assert_array_equal(state, own)
 
