@@ -27,7 +27,7 @@ def write_league(folder, errors, seconds=1.0, starts=5):
         ):
             for field in FIELDS:
                 known = [each for each in methods if field == "one" or each != "SGP-Tools"]
-                measures = ("rmse", "deviation", "regret", "missed", "f1")
+                measures = ("rmse", "rmse_learned", "deviation", "regret", "missed", "f1")
                 cell = {
                     "length": 20,
                     "start": start,

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 shapely = pytest.importorskip("shapely")
@@ -39,9 +40,26 @@ PLACES = ("square", "coast", "new-guinea", "course")
 ROUTE = np.array([[1.0, 1.0], [9.0, 1.0], [9.0, 8.0]])
 
 
-def covariance(first, second):
-    scaled = np.sqrt(5.0) * cdist(first, second) / LENGTHSCALE
-    return VARIANCE * (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+def covariance(first, second, lengthscale=LENGTHSCALE, variance=VARIANCE):
+    scaled = np.sqrt(5.0) * cdist(first, second) / lengthscale
+    return variance * (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+
+
+def learned_mean(x, y, grid):
+    """The mean at the highest posterior density of the logarithms, whose prior deviations are 1, by SciPy."""
+    medians = np.log([LENGTHSCALE, VARIANCE, NOISE_VARIANCE])
+
+    def loss(logs):
+        lengthscale, variance, noise = np.exp(logs)
+        gram = covariance(x, x, lengthscale, variance) + noise * np.eye(len(x))
+        evidence = 0.5 * y @ np.linalg.solve(gram, y) + 0.5 * np.linalg.slogdet(gram)[1]
+        return evidence + 0.5 * np.sum((logs - medians) ** 2)
+
+    starts = [medians, medians + [0.7, 0.7, 0.0], medians - [0.7, 0.0, 0.7]]
+    found = min((minimize(loss, start) for start in starts), key=lambda each: each.fun)
+    lengthscale, variance, noise = np.exp(found.x)
+    gram = covariance(x, x, lengthscale, variance) + noise * np.eye(len(x))
+    return covariance(grid, x, lengthscale, variance) @ np.linalg.solve(gram, y)
 
 
 def test_scores_are_those_of_a_plain_gaussian_process(usual_jax):
@@ -58,6 +76,9 @@ def test_scores_are_those_of_a_plain_gaussian_process(usual_jax):
     above, put_above = truth > threshold, mean > threshold
     assert threshold_of(FIELD) == pytest.approx(threshold)
     assert found["rmse"] == pytest.approx(np.sqrt(np.mean((truth - mean) ** 2)), rel=1e-6)
+    learned = learned_mean(x, y, grid)
+    assert found["rmse_learned"] == pytest.approx(np.sqrt(np.mean((truth - learned) ** 2)), rel=1e-3)
+    assert abs(found["rmse_learned"] - found["rmse"]) > 1e-2
     assert found["deviation"] == pytest.approx(np.mean(np.sqrt(variance)), rel=1e-6)
     assert found["regret"] == pytest.approx(truth.max() - truth[np.argmax(mean)], abs=1e-9)
     assert found["missed"] == np.mean(above != put_above)

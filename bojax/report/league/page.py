@@ -18,6 +18,7 @@ METHODS = ("bojax", "lawnmower", "lawnmower from a corner", "SGP-Tools", "myopic
 
 TABLES = {
     "rmse": ("RMSE", (), 3),
+    "rmse_learned": ("RMSE with learned hyper-parameters", (), 3),
     "deviation": ("Mean deviation that the process expects", (), 3),
     "regret": ("Hot spots: regret of the best place found", ("bojax, hotspots",), 3),
     "missed": ("Threshold: share of the area on its wrong side", ("bojax, threshold",), 4),
