@@ -60,8 +60,10 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
                 return code
             write(out, multiverse)
     write(out, multiverse)  # also with a new title and reading
-    from bojax.claims.multiverse.page import write_page
+    from bojax.claims.multiverse.page import summary_of, write_page
 
+    if multiverse.done:
+        _say(summary_of(multiverse))
     if missing := len(multiverse.configurations) - len(multiverse.done):
         _say(f"{missing} of {len(multiverse.configurations)} configurations are left: --resume --out {out}")
     print(out / FILE)

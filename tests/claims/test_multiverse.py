@@ -256,7 +256,9 @@ def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_pa
     assert (
         finds.verdicts[0] == "r" and "n" in finds.verdicts
     )  # a goal three steps away cannot always be reached
-    assert "configurations are left" in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert "configurations are left" in printed
+    assert "in 4 configurations of 2 choices: " in printed and " robust" in printed
 
 
 def test_results_of_another_declaration_are_refused(paper, tmp_path, capsys):

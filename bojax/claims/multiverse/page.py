@@ -44,7 +44,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
     values = {
         "name": multiverse.name,
         "title": multiverse.title,
-        "summary": _summary(multiverse),
+        "summary": summary_of(multiverse),
         "counts": [],
         "reading": multiverse.reading,
         "drawings": drawings,
@@ -74,7 +74,8 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
     return page
 
 
-def _summary(multiverse: Multiverse) -> str:
+def summary_of(multiverse: Multiverse) -> str:
+    """How many claims are robust, fragile and contrary, as a sentence."""
     claims, total = multiverse.counted, len(multiverse.configurations)
     strengths = [claim.strength for claim in claims]
     kinds = joined(f"{strengths.count(kind)} {kind}" for kind in ("robust", "fragile", "contrary"))
