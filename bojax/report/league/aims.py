@@ -125,7 +125,7 @@ AIMS = (
         "distances than the process. Scored on 27 November from the stored routes.",
     ),
     Aim(
-        "RMSE of a field, learned",
+        "field, learned",
         "As RMSE of a field, with learned hyper-parameters.",
         "not reached on one field or another: 18 comparisons; but no longer on clouds",
         "rmse_learned", "bojax", 1.03, "square", "field",
@@ -134,7 +134,7 @@ AIMS = (
         "two thirds of those of the fixed process.",
     ),
     Aim(
-        "RMSE, odd fields, learned",
+        "odd fields, learned",
         "As RMSE, odd fields, with learned hyper-parameters.",
         "not reached: about 5% below",
         "rmse_learned", "bojax", 0.9, ODD,
