@@ -70,7 +70,13 @@ class AirTable(RobotTask):
 
 
 if __name__ == "__main__":
-    env = AirTable(jnp.asarray(0.2, jnp.float32), bojax.part("mjx"), 5, 100, "goal-only")
+    env = AirTable(
+        pocket_radius=jnp.asarray(0.2, jnp.float32),
+        physics=bojax.part("mjx"),
+        substeps=5,
+        max_steps=100,
+        reward="goal-only",
+    )
     learner = {"kind": "emu-q", "features": {"num_features": 100, "action_lengthscale": 1.0}}
     training = train(env, learner, episodes=5, runs=4)
     print("episodes to the pocket:", training.runs["episodes_to_goal"].to_pylist())

@@ -35,9 +35,9 @@ def fault_of(ended: Ended, codes: Iterable[int], *, alone: bool = False) -> str:
     Args:
         ended: How the command ended.
         codes: The exit codes that are allowed.
-        alone: Whether nothing but the error may stand on the standard error stream.
+        alone: Whether nothing but the error, and notes before it, may stand on the standard error stream.
     """
-    lines = ended.err.splitlines()
+    lines = [line for line in ended.err.splitlines() if not line.startswith("note: ")]
     errors = [line for line in lines if line.startswith("error: ")]
     if ended.is_late:
         return f"not over after {ended.wall:.0f} s"
