@@ -91,9 +91,8 @@ AIMS = (
         "not reached: level with the lawnmowers and 1 to 2% below SGP-Tools in the earlier league",
         "rmse", "bojax", 1.0, "square",
         reason="the route is better on the field that the process has drawn itself, and worse on clouds "
-        "and, against the lawnmower, on bathymetry. These do not vary as the process assumes, and its map is "
-        "then wrong between curved lines more than between straight ones: with learned hyper-parameters, the "
-        "same routes are better than both the lawnmower's and those of SGP-Tools.",
+        "and, against the lawnmower, on bathymetry. These do not vary as the process assumes: with learned "
+        "hyper-parameters, the same routes are better than the lawnmower's and than those of SGP-Tools.",
     ),
     Aim(
         "RMSE of a field",
@@ -120,9 +119,9 @@ AIMS = (
         "reached against the lawnmower and SGP-Tools, 5 to 10% below; inconclusive against the lawnmower "
         "from a corner",
         "rmse_learned", "bojax", 1.0, "square",
-        reason="lines from the nearest corner leave smaller gaps (at length 20, the farthest place is 3.2 "
-        "units from them and 4.2 from the route, at the mean), which counts where a field varies over longer "
-        "distances than the process. Scored on 27 November from the stored routes.",
+        reason="lines from the nearest corner leave smaller gaps: on average over the starts, at length 20, "
+        "the farthest place is 3.2 units from them and 4.2 from the route. That may count where a field varies "
+        "over longer distances than the process. Scored on 27 November from the stored routes.",
     ),
     Aim(
         "field, learned",
@@ -130,8 +129,8 @@ AIMS = (
         "not reached on one field or another: 18 comparisons; but no longer on clouds",
         "rmse_learned", "bojax", 1.03, "square", "field",
         reason="clouds are no longer among the fields that are worse. On the elevation and the pacific, the "
-        "route is worse than lines from a corner at both lengths; on the pacific, all errors are a third to "
-        "two thirds of those of the fixed process.",
+        "route is worse than lines from a corner at both lengths; on the pacific, errors are 35 to 74% of those "
+        "of the fixed process.",
     ),
     Aim(
         "odd fields, learned",
