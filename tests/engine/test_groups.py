@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+import bojax
 from bojax.config.sweep import load_sweep
 from bojax.engine.groups import static_groups
 from bojax.engine.plan import make_plan
@@ -13,6 +14,24 @@ from tests.toy import toy
 def test_points_with_equal_statics_share_a_group():
     modules = [toy(scale=1.0), toy(max_length=15), toy(scale=2.0), toy(max_length=15, poison=3.0)]
     assert [group.points for group in static_groups(modules)] == [(0, 2), (1, 3)]
+
+
+def test_what_is_learned_when_is_a_number_of_a_lane():
+    """Whether tests explore, starts are shared, or learning goes on after the target."""
+    settings = {"env": "chain", "learner": "epsilon-greedy", "tests": 1, "target_return": 1.0}
+    runs = [
+        bojax.part(
+            "learning",
+            **settings,
+            tests_learn=tests_learn,
+            starts=starts,
+            schedule={"kind": "until-target", "learns_after": learns_after},
+        )
+        for tests_learn in ("no", "exploiting", "exploring")
+        for starts in ("per-episode", "per-run")
+        for learns_after in (False, True)
+    ]
+    assert [len(group.points) for group in static_groups(runs)] == [4, 8]
 
 
 def test_a_dtype_is_static():

@@ -120,8 +120,8 @@ AIMS = (
         "from a corner",
         "rmse_learned", "bojax", 1.0, "square",
         reason="lines from the nearest corner leave smaller gaps: on average over the starts, at length 20, "
-        "the farthest place is 3.2 units from them and 4.2 from the route. That may count where a field varies "
-        "over longer distances than the process. Scored on 27 November from the stored routes.",
+        "the farthest place is 3.2 units from them and 4.2 from the route. That may count where a field "
+        "varies over longer distances than the process. Scored on 27 November from the stored routes.",
     ),
     Aim(
         "field, learned",
@@ -129,8 +129,8 @@ AIMS = (
         "not reached on one field or another: 18 comparisons; but no longer on clouds",
         "rmse_learned", "bojax", 1.03, "square", "field",
         reason="clouds are no longer among the fields that are worse. On the elevation and the pacific, the "
-        "route is worse than lines from a corner at both lengths; on the pacific, errors are 35 to 74% of those "
-        "of the fixed process.",
+        "route is worse than lines from a corner at both lengths; on the pacific, errors are 35 to 74% of "
+        "those of the fixed process.",
     ),
     Aim(
         "odd fields, learned",
