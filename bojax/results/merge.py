@@ -200,11 +200,13 @@ def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Ta
     bounds = [start for start, _ in order[1:]] + [None]
     held: list[pa.Table] = []
     count = kept = 0
+    lowest = order[0][0] if order else 0  # no row that is held precedes it
     for (_, index), bound in zip(order, bounds, strict=True):
         held.append(read_table(pieces[index]))
         count += held[-1].num_rows
         # Rows that stayed incomplete do not count, or all of them would be looked at again for every piece.
-        if bound is not None and count - kept <= most:
+        # The pieces of a chunk have one first run: none of its rows is complete before its last piece.
+        if bound is not None and (count - kept <= most or bound <= lowest):
             continue
         rows = pa.concat_tables([schema.empty_table(), *held], promote_options="default")
         if bound is None:
@@ -213,6 +215,7 @@ def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Ta
         is_complete = pa.array(_keys(rows) < bound)
         held = [rows.filter(pc.call_function("invert", [is_complete]))]
         count = kept = held[0].num_rows
+        lowest = bound
         if (complete := rows.filter(is_complete)).num_rows:
             yield sort_rows(complete)
 

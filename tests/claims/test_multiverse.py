@@ -233,6 +233,13 @@ def test_the_page_of_every_kind(tmp_path):
     assert (tmp_path / "figures" / "own-together.svg").is_file()
 
 
+def test_a_claim_that_several_sweeps_make_is_told_with_its_sweep(tmp_path):
+    of = {"claim": "it learns", "source": "Fig. 1"}
+    claims = [claim(name, "rrrn").model_copy(update=of | {"sweep": name}) for name in ("cliff", "taxi")]
+    text = write_page(universe(*claims, claim("alone", "rrrr")), tmp_path / "page.md").read_text()
+    assert "it learns (Fig. 1; cliff)" in text and "it learns (Fig. 1; taxi)" in text and "; own" not in text
+
+
 def run(paper: Path, out: Path, *words: str) -> int:
     return main(["reproduce", "--multiverse", str(paper), "--out", str(out), *words])
 

@@ -91,7 +91,7 @@ def _row(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, Any]:
     total = len(claim.verdicts)
     return {
         "id": claim.id,
-        "source": claim.source or "",
+        "source": _source(multiverse, claim),
         "claim": claim.claim,
         "entry_class": claim.entry_class,
         "own": "" if own is None else _WORDS[claim.verdicts[own]],
@@ -104,6 +104,12 @@ def _row(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, Any]:
         "fresh_best": _WORDS[confirmed.best.get(claim.id, FAILED)] if confirmed else "",
         "decisive": _decisive(multiverse, claim),
     }
+
+
+def _source(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
+    """Where the paper makes a claim; with the sweep, if the claim is made of several sweeps."""
+    same = [each for each in multiverse.claims if (each.claim, each.source) == (claim.claim, claim.source)]
+    return "; ".join(each for each in (claim.source, claim.sweep if len(same) > 1 else "") if each)
 
 
 def _decisive(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
