@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
+from itertools import zip_longest
 from pathlib import Path
 
 from bojax.cli.parser import Parser, UsageError
@@ -30,6 +31,9 @@ _EXAMPLES = """\
 """
 
 _FILES = ("configs", "sweeps")
+
+_WIDEST = 36
+"""Characters of a column before the last, so that a setting with many words leaves room for its meaning."""
 
 _REPRODUCTIONS, _EXTRAS = "reproductions", "extras"
 
@@ -176,15 +180,17 @@ def _summary(member: type[Component] | Path | list[str] | tuple[str, str]) -> st
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
-    """A table with aligned columns; the last column is wrapped to the width of the terminal."""
+    """A table with aligned columns; the last is wrapped to the width of the terminal, others at `_WIDEST`."""
     rows = [[escaped(cell) for cell in row] for row in rows]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
+    whole = textwrap.TextWrapper(_WIDEST, break_long_words=False, break_on_hyphens=False)  # a name is copied
+    wrapped = [[whole.wrap(cell) or [""] for cell in row[:-1]] for row in rows]
+    widths = [max(len(line) for cell in column for line in cell) for column in zip(*wrapped, strict=True)]
+    room = max(_width() - 2 - sum(width + 2 for width in widths), 30)
     lines = []
-    for *cells, last in rows:
-        start = "  " + "".join(f"{cell:<{width}}  " for cell, width in zip(cells, widths, strict=True))
-        room = max(_width() - len(start), 30)
-        first, *more = textwrap.wrap(last, room) or [""]
-        lines += [(start + first).rstrip(), *(" " * len(start) + line for line in more)]
+    for cells, (*_, last) in zip(wrapped, rows, strict=True):
+        for row in zip_longest(*cells, textwrap.wrap(last, room), fillvalue=""):
+            padded = (f"{cell:<{width}}  " for cell, width in zip(row, [*widths, 0], strict=True))
+            lines.append(f"  {''.join(padded)}".rstrip())
     return "\n".join(lines)
 
 

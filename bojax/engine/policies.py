@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from bojax.config.external import resolve
 from bojax.config.sweep import load_config
@@ -57,7 +58,7 @@ class Policy:
         """The action to take.
 
         Raises:
-            ValueError: The observation does not fit the space of observations.
+            ValueError: The observation does not fit the space of observations, or is not finite.
         """
         return self.act(observation)[0]
 
@@ -65,12 +66,14 @@ class Policy:
         """The action to take, and the return that the learner expects of it.
 
         Raises:
-            ValueError: The observation does not fit the space of observations.
+            ValueError: The observation does not fit the space of observations, or is not finite.
         """
         try:
             seen = self._adapter.observation(observation)
         except Misfit as error:
             raise ValueError(str(error)) from None
+        if not np.all(np.isfinite(seen)):
+            raise ValueError(f"the observation is {seen.tolist()}; allowed: finite numbers")
         with on_cpu(), jax.enable_x64(True):
             action, expected = jax.device_get(
                 self._act(jnp.asarray(next(self._numbers), jnp.int32), jnp.asarray(seen, self._dtype))

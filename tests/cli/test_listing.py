@@ -31,6 +31,7 @@ def test_every_name_is_listed_with_a_line(listed):
 
 
 def test_every_part_shows_its_settings(listed):
+    assert max(map(len, listed("pomcpow").splitlines())) <= 110  # first_action has nine words
     assert _part("planner", catalog.kinds("planner")["kcbts"]) + "\n" == listed("kcbts")
     for role in catalog.roles():
         for kind, schema in catalog.kinds(role).items():

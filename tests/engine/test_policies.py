@@ -47,6 +47,8 @@ def test_the_expected_return_is_the_learners_value_of_the_action():
     seen = jnp.asarray([-0.5, 0.01], jnp.float32)
     value, _ = trained.experiment.learner.values(state, seen, jnp.asarray(action))
     assert expected == pytest.approx(float(value), abs=1e-5)
+    with pytest.raises(ValueError, match=r"the observation is \[nan, 0.01\]; allowed: finite numbers"):
+        trained.policy()([float("nan"), 0.01])
 
 
 @pytest.fixture(scope="module")
