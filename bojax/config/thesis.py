@@ -22,6 +22,8 @@ OTHERS = {"pomdp": "pomdp-"}
 
 _FIGURE = re.compile(r"(?:fig|table)-\d+\.\d+(?=\D)")
 
+_PRINTED = re.compile(r"(Fig\.|Table) (\d+\.\d+)")
+
 
 def sweeps_of(name: str) -> list[str]:
     """The sweeps that a name stands for: itself, or those of a figure, table, chapter, group or the thesis.
@@ -42,8 +44,10 @@ def sweeps_of(name: str) -> list[str]:
 def groups() -> dict[str, list[str]]:
     """The names of figures, tables, chapters, other groups and `all`, each with the sweeps it stands for."""
     contents = _contents()
-    figures = dict.fromkeys(match[0] for name in contents if (match := _FIGURE.match(name)))
-    names = [name for name in figures if name not in contents]
+    parts = [match[0] for name in contents if (match := _FIGURE.match(name))]
+    names = sorted(
+        {*parts, *(figure for name in contents for figure in _figures(name, contents))} - {*contents}
+    )
     return {name: _meant(name, contents) for name in (*names, *CHAPTERS, *OTHERS, ALL)}
 
 
@@ -57,7 +61,19 @@ def _meant(name: str, contents: dict[str, dict[str, Any]]) -> list[str]:
         of_thesis = [each for each in sweeps if not each.startswith(apart) and "claims" in contents[each]]
         return [each for each in of_thesis if each.partition("-")[2].startswith(CHAPTERS.get(name, ""))]
     name = str(contents.get(name, {}).get("alias", name))
-    return [name] if name in sweeps else [each for each in sweeps if _is_part_of(each, name)]
+    if name in sweeps:
+        return [name]
+    return [each for each in sweeps if _is_part_of(each, name) or name in _figures(each, contents)]
+
+
+def _figures(sweep: str, contents: dict[str, dict[str, Any]]) -> set[str]:
+    """The figures and tables whose claims a sweep of the thesis tests; none for a study."""
+    claims = contents[sweep].get("claims")
+    if not sweep.startswith(("fig-", "table-")) or not isinstance(claims, list):
+        return set()
+    sources = [str(claim.get("source")) for claim in claims if isinstance(claim, dict)]
+    found = [match for source in sources for match in _PRINTED.findall(source)]
+    return {f"{'fig' if kind == 'Fig.' else 'table'}-{number}" for kind, number in found}
 
 
 def _contents() -> dict[str, dict[str, Any]]:
