@@ -25,8 +25,8 @@ page for each chapter. The number of the thesis, the number found here and the v
 
 ID is a sweep (fig-4.6), a figure or table (fig-5.4, table-3.1) for the sweeps that test its claims, chapter3,
 chapter4, chapter5, or all: every sweep with claims of the thesis. pomdp is a group of its own: published
-returns of POMDP solvers. Studies are run by name. surveys is no sweep: it is the league of routes of surveys, whose
-runs are starts, at most 20; it is run in one process, one start after the other.
+returns of POMDP solvers. Studies are run by name. surveys is no sweep: it is the league of routes of surveys,
+whose runs are starts, at most 20; it is run in one process, one start after the other.
 
 --page runs nothing: it makes the page from results of several commands, of whatever age and machine. DIR is a
 results folder, or a folder above some. The newest results of each sweep count, and are judged by the claims
