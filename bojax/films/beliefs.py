@@ -35,8 +35,10 @@ class BeliefFilm(Film):
         title = f"{problem.kind if problem else ''}: {trace.point.name}, run {trace.run}"
         figure.text(0.03, 0.945, drawn_text(title), color=INK, fontsize=10)
         status = figure.text(0.03, 0.895, "", color=INK, fontsize=10)
-        axes = figure.add_axes((0.12, 0.11, 0.85, 0.74) if self._is_by_step else (0.02, 0.07, 0.96, 0.80))
+        axes = figure.add_axes((0.12, 0.17, 0.85, 0.68) if self._is_by_step else (0.02, 0.07, 0.96, 0.80))
         self._stage(axes)
+        if self._is_by_step:
+            axes.set_xlabel("step", fontsize=9)
         entries = zip(*legend_of([trace.sketch]), strict=True)
         figure.legend(*entries, loc="lower center", ncols=4, frameon=False, handletextpad=0.1, fontsize=9)
         for step in self._steps.tolist():

@@ -48,3 +48,7 @@ class Tiger(ReadingProblem):
     @override
     def reading(self, action: Float[Array, "1"], next_state: Float[Array, "1"]) -> BinaryReading:
         return BinaryReading(next_state, jnp.where(action[0] == 0.0, self.accuracy, 0.5))
+
+    @override
+    def sketch(self, state: Float[Array, "1"]) -> dict[str, Float[Array, "1"]]:
+        return {"the tiger's door: 0 left, 1 right": state}

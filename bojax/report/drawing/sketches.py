@@ -6,6 +6,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from bojax.report.columns import Arrays
 from bojax.report.drawing.domains import draw_outline
@@ -52,6 +53,7 @@ def set_stage(axes: Axes, sketch: Sketch, outline: Outline) -> None:
         values = np.concatenate([rows.ravel() for rows in sketch.values()])
         margin = 0.05 * max(float(np.ptp(values)), 1.0)
         axes.set_ylim(values.min() - margin, values.max() + margin)
+        axes.yaxis.set_major_locator(MaxNLocator(5, integer=not np.any(values % 1.0)))
         return
     if outline.border is None:
         points = np.concatenate([rows.reshape(-1, 2) for rows in sketch.values()])
