@@ -30,6 +30,9 @@ NUM_GUESSES = 4
 MOST_WAYPOINTS = 128
 """Largest number of waypoints of an optimised route."""
 
+SHORTEST, LONGEST = 1.4, 3.0
+"""Largest plausible lengthscale of an optimised route, relative to the model's: at least, and at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -177,7 +180,11 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     found.sort(key=lambda each: each[0].length if demand.budget is None else each[0].error)
     if optimises and demand.budget is not None:
         guesses = [candidate for candidate, _ in found[:NUM_GUESSES]]
-        if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget)):
+        # Distance of lines that use the budget. If it is longer than the lengthscale, no route learns what
+        # lies between them, unless the lengthscale is longer: so that decides which gaps a route should leave.
+        apart = counting.size / (demand.budget * demand.robots)
+        stretch = 0.7, float(np.clip(apart / model.lengthscale, SHORTEST, LONGEST))
+        if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget), stretch):
             found.append(outcomes.of("route", *route))
             found.sort(key=lambda each: each[0].error)
     # Robots that come closer than asked are proposed only if no candidate keeps its distance.
@@ -227,13 +234,19 @@ def lawnmower_guesses(
 
 
 def _optimised(
-    model: FieldModel, area: Area, demand: Demand, guesses: Sequence[Candidate], sampling: float
+    model: FieldModel,
+    area: Area,
+    demand: Demand,
+    guesses: Sequence[Candidate],
+    sampling: float,
+    stretch: tuple[float, float],
 ) -> tuple[str, Sequence[np.ndarray]] | None:
     """The routes that `plan_routes` finds, with their origin; None if it prefers one of the guesses."""
     assert demand.budget is not None
     corners = max(len(route) for guess in guesses for route in guess.routes)
     # Multiples of 16, since each number of waypoints compiles a program of its own.
-    options = RouteOptions(waypoints=int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS)))
+    waypoints = int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS))
+    options = RouteOptions(waypoints=waypoints, stretch=stretch)
     found = plan_routes(
         model.belief(),
         area,

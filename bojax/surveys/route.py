@@ -35,8 +35,8 @@ class RouteOptions:
         steps: Steps of Adam.
         rate: Largest change of a coordinate in a step, as a share of the length of the area.
         models: Number of plausible beliefs over which the error is averaged; 1 for the given belief alone.
-        stretch: Range of their lengthscales, relative to the given ones. It reaches further up than
-            down: with longer lengthscales, places far from the route count, so that it leaves no large gaps.
+        stretch: Range of their lengthscales, relative to the given ones. With a longer upper end, places far
+            from the route count more: it leaves no large gaps, and covers less densely.
         anisotropy: Largest ratio of the lengthscales of two directions, relative to the given ones.
         turning_radius: Least radius of turns, m; 0 for any. It is a penalty of the descent, not a guarantee.
     """
@@ -46,7 +46,7 @@ class RouteOptions:
     steps: int = 200
     rate: float = 0.01
     models: int = 8
-    stretch: tuple[float, float] = (0.7, 3.0)
+    stretch: tuple[float, float] = (0.7, 1.4)
     anisotropy: float = 3.0
     turning_radius: float = 0.0
 
