@@ -181,7 +181,7 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     if optimises and demand.budget is not None:
         guesses = [candidate for candidate, _ in found[:NUM_GUESSES]]
         # Distance of lines that use the budget. If it is longer than the lengthscale, no route learns what
-        # lies between them, unless the lengthscale is longer: so that decides which gaps a route should leave.
+        # lies between them, unless the lengthscale is longer: that decides which gaps a route should leave.
         apart = counting.size / (demand.budget * demand.robots)
         stretch = 0.7, float(np.clip(apart / model.lengthscale, SHORTEST, LONGEST))
         if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget), stretch):
