@@ -20,7 +20,7 @@ from tests.drawn import drawn_experiment
 from tests.parts import FILES
 from tests.tiers import by_tier
 
-NUMBER = 100
+NUMBER = 40
 
 LARGEST = 10**7
 """Numbers in the state of a run: 4^7 Fourier features have matrices of 2.7 * 10^8."""
