@@ -22,7 +22,8 @@ OTHERS = {"pomdp": "pomdp-"}
 
 _FIGURE = re.compile(r"(?:fig|table)-\d+\.\d+(?=\D)")
 
-_PRINTED = re.compile(r"(Fig\.|Table) (\d+\.\d+)")
+_CITED = re.compile(r"(Fig\.|Table) (\d+\.\d+)")
+"""A figure or table in the `source` of a claim."""
 
 
 def sweeps_of(name: str) -> list[str]:
@@ -44,10 +45,8 @@ def sweeps_of(name: str) -> list[str]:
 def groups() -> dict[str, list[str]]:
     """The names of figures, tables, chapters, other groups and `all`, each with the sweeps it stands for."""
     contents = _contents()
-    parts = [match[0] for name in contents if (match := _FIGURE.match(name))]
-    names = sorted(
-        {*parts, *(figure for name in contents for figure in _figures(name, contents))} - {*contents}
-    )
+    names = {match[0] for name in contents if (match := _FIGURE.match(name))}
+    names = sorted(names.union(*(_figures(name, contents) for name in contents)) - contents.keys())
     return {name: _meant(name, contents) for name in (*names, *CHAPTERS, *OTHERS, ALL)}
 
 
@@ -72,7 +71,7 @@ def _figures(sweep: str, contents: dict[str, dict[str, Any]]) -> set[str]:
     if not sweep.startswith(("fig-", "table-")) or not isinstance(claims, list):
         return set()
     sources = [str(claim.get("source")) for claim in claims if isinstance(claim, dict)]
-    found = [match for source in sources for match in _PRINTED.findall(source)]
+    found = [match for source in sources for match in _CITED.findall(source)]
     return {f"{'fig' if kind == 'Fig.' else 'table'}-{number}" for kind, number in found}
 
 

@@ -205,7 +205,7 @@ def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Ta
         held.append(read_table(pieces[index]))
         count += held[-1].num_rows
         # Rows that stayed incomplete do not count, or all of them would be looked at again for every piece.
-        # The pieces of a chunk have one first run: none of its rows is complete before its last piece.
+        # Where all pieces of a chunk begin with its first run, none of its rows is complete before the last.
         if bound is not None and (count - kept <= most or bound <= lowest):
             continue
         rows = pa.concat_tables([schema.empty_table(), *held], promote_options="default")

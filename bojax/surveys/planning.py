@@ -1,5 +1,6 @@
 """Choosing the route of a survey: candidates, and the error that the model expects after each."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -30,8 +31,8 @@ NUM_GUESSES = 4
 MOST_WAYPOINTS = 128
 """Largest number of waypoints of an optimised route."""
 
-SHORTEST, LONGEST = 1.4, 3.0
-"""Largest plausible lengthscale of an optimised route, relative to the model's: at least, and at most."""
+LONGEST = 3.0
+"""Longest lengthscale that an optimised route counts as plausible, relative to the model's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,11 +181,8 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     found.sort(key=lambda each: each[0].length if demand.budget is None else each[0].error)
     if optimises and demand.budget is not None:
         guesses = [candidate for candidate, _ in found[:NUM_GUESSES]]
-        # Distance of lines that use the budget. If it is longer than the lengthscale, no route learns what
-        # lies between them, unless the lengthscale is longer: that decides which gaps a route should leave.
         apart = counting.size / (demand.budget * demand.robots)
-        stretch = 0.7, float(np.clip(apart / model.lengthscale, SHORTEST, LONGEST))
-        if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget), stretch):
+        if route := _optimised(model, part, demand, guesses, min(sampling, demand.budget), apart):
             found.append(outcomes.of("route", *route))
             found.sort(key=lambda each: each[0].error)
     # Robots that come closer than asked are proposed only if no candidate keeps its distance.
@@ -239,14 +237,22 @@ def _optimised(
     demand: Demand,
     guesses: Sequence[Candidate],
     sampling: float,
-    stretch: tuple[float, float],
+    apart: float,
 ) -> tuple[str, Sequence[np.ndarray]] | None:
-    """The routes that `plan_routes` finds, with their origin; None if it prefers one of the guesses."""
+    """The routes that `plan_routes` finds, with their origin; None if it prefers one of the guesses.
+
+    `apart` is the distance between parallel lines over the area that use the whole budget, m.
+    """
     assert demand.budget is not None
     corners = max(len(route) for guess in guesses for route in guess.routes)
     # Multiples of 16, since each number of waypoints compiles a program of its own.
     waypoints = int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS))
-    options = RouteOptions(waypoints=waypoints, stretch=stretch)
+    options = RouteOptions(waypoints=waypoints)
+    # Between lines that are further apart than the lengthscale, nothing is learned, whatever the route,
+    # unless the field varies over longer distances: it is for such fields that the gaps are chosen.
+    low, high = options.stretch
+    longest = float(np.clip(apart / model.lengthscale, high, LONGEST))
+    options = dataclasses.replace(options, stretch=(low, longest))
     found = plan_routes(
         model.belief(),
         area,

@@ -20,7 +20,7 @@ REFERENCE = {
     *("docs/configuration.md", "docs/results.md", "docs/reproduction.md", "docs/surveys-league.md"),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "settings").iterdir()),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "reproduction").glob("chapter*.md")),
-    "docs/reproduction/multiverse-5.5.md",  # a row and a figure for each of its 36 claims
+    *(page.relative_to(ROOT).as_posix() for page in (DOCS / "reproduction").glob("multiverse-*.md")),
 }
 """Pages to look something up in, which may be long."""
 SHOWN = [(content, file) for page in PAGES for _, content, file in blocks(page) if file]

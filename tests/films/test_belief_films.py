@@ -14,6 +14,7 @@ from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.sketches import draw_step, set_stage, sketches
 from bojax.report.figures.particles import draw
 from bojax.report.source import load
+from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
 STEPS, ROOM, DRAWN = 4, 6, 16
@@ -97,3 +98,10 @@ def test_what_was_not_recorded_is_not_drawn(tmp_path):
         choose_film(shown, episode=2)
     with pytest.raises(ResultsError, match="no steps of run 7"):
         choose_film(shown, run=7)
+
+
+@pytest.mark.parametrize(("values", "whole"), [([0.0, 1.0, 1.0], True), ([0.0, 0.5, 1.0], False)])
+def test_the_axis_of_whole_numbers_has_whole_ticks(values, whole):
+    axes = Figure().add_subplot()
+    set_stage(axes, {"state": np.array(values)[:, None, None]}, Outline())
+    assert all(tick % 1.0 == 0.0 for tick in axes.get_yticks()) == whole

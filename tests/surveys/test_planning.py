@@ -1,0 +1,32 @@
+"""The models over which a planned survey is averaged."""
+
+import jax
+import numpy as np
+import pytest
+
+pytest.importorskip("shapely")
+
+from bojax.areas.area import Area  # noqa: E402
+from bojax.surveys import planning  # noqa: E402
+from bojax.surveys.model import assumed_model  # noqa: E402
+from bojax.surveys.planning import Demand, plan_survey  # noqa: E402
+from bojax.surveys.route import Routes  # noqa: E402
+
+
+@pytest.mark.parametrize(
+    ("budget", "robots", "longest"),
+    [(200.0, 1, 1.4), (50.0, 1, 2.0), (25.0, 2, 2.0), (20.0, 1, 3.0)],
+)
+def test_longer_lengthscales_count_where_lines_would_be_far_apart(monkeypatch, budget, robots, longest):
+    seen = []
+
+    def plan_nothing(*arguments, options, **others):
+        seen.append(options.stretch)
+        (name, routes), *_ = arguments[5].items()
+        return Routes(tuple(routes), 0.0, name, {})
+
+    monkeypatch.setattr(planning, "plan_routes", plan_nothing)
+    with jax.enable_x64(True):
+        square = Area.rectangle(0.0, 0.0, 10.0, 10.0)
+        plan_survey(square, assumed_model(10.0, 1.0), Demand(budget, np.array([0.0, 0.0]), robots=robots))
+    assert seen == [(0.7, pytest.approx(longest))]
