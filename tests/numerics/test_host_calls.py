@@ -8,6 +8,8 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from bojax.numerics.host_calls import call, register
 
+pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="host calls are handlers of the CPU")
+
 
 def halved(rows):
     """Half of the first two columns of some rows."""

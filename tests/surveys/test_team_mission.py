@@ -85,7 +85,8 @@ def test_a_mission_of_one_robot_is_that_without_the_argument():
     usual = mission()
     with pytest.warns(UserWarning, match="^separation: got 3 m, which one robot does not use$"):
         counted = mission(robots=1, separation=3.0, start=[[1.0, 1.0]])
-    np.testing.assert_array_equal(usual.plan(), counted.plan())
+    # Sums over points have no fixed order on a GPU.
+    np.testing.assert_allclose(usual.plan(), counted.plan(), rtol=1e-12)
 
 
 def test_a_second_plan_of_a_team_compiles_nothing():
