@@ -27,7 +27,7 @@ import numpy as np
 from bojax.results.store import write_json
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import Ground, joined
-from bojax.surveys.league.cells import LENGTHS
+from bojax.surveys.league.cells import COVERING, LENGTHS
 from bojax.surveys.league.fields import LENGTHSCALE, MODEL, NOISE_VARIANCE, VARIANCE, Field, league
 from bojax.surveys.league.routes import PEERS, SPACING, peers, start_of, surveyed
 from bojax.surveys.polylines import Waypoints, length_of, points_along
@@ -53,6 +53,8 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--sgptools", required=True, metavar="PYTHON", help="Python that has SGP-Tools")
     places = {field.place: field for field in league()}
     parser.add_argument("--places", nargs="+", choices=places, default=list(places), help="areas (all)")
+    lengths = (*LENGTHS, COVERING)
+    parser.add_argument("--lengths", nargs="+", type=int, choices=lengths, default=lengths, help="(all)")
     parser.add_argument("--workers", type=int, default=1, help="processes of SGP-Tools (1)")
     args = parser.parse_args(argv)
     jax.config.update("jax_enable_x64", True)
@@ -62,7 +64,7 @@ def main(argv: Sequence[str]) -> int:
         workers.put(worker)
     with ThreadPoolExecutor(args.workers) as pool:
         for place in args.places:
-            for length in LENGTHS:
+            for length in args.lengths:
                 starts = range(len(peers()["starts"]))
                 paths = list(pool.map(partial(_path, places[place], length, workers), starts))
                 stored = json.loads(PEERS.read_text())

@@ -16,7 +16,7 @@ FIELDS = {"one": {"place": "square", "is_real": True}, "coast": {"place": "coast
 def write_league(folder, errors, seconds=1.0, starts=5):
     """A league in which each method's errors are those of a function of field, method and start."""
     (folder / CELLS).mkdir(parents=True)
-    about = {"fields": FIELDS, "lengths": [20], "process": {"variance": 1.0}, "sampling": 0.2, "noise": 0.1}
+    about = {"fields": FIELDS, "lengths": [40], "process": {"variance": 1.0}, "sampling": 0.2, "noise": 0.1}
     about |= {"leg": 5.0, "share_above": 0.2, "peers": "stored", "provenance": {"command": "bojax"}}
     (folder / LEAGUE).write_text(json.dumps(about))
     for start in range(starts):
@@ -29,7 +29,7 @@ def write_league(folder, errors, seconds=1.0, starts=5):
                 known = [each for each in methods if field == "one" or each != "SGP-Tools"]
                 measures = ("rmse", "rmse_learned", "deviation", "regret", "missed", "f1")
                 cell = {
-                    "length": 20,
+                    "length": 40,
                     "start": start,
                     "seconds": seconds if goal == "map" else None,
                     "routes": {each: [[0.0, 0.0], [1.0, 1.0]] for each in known},
@@ -40,7 +40,7 @@ def write_league(folder, errors, seconds=1.0, starts=5):
                         }
                     },
                 }
-                name = f"{goal}-{'square' if field == 'one' else field}-20-{start:02d}.json"
+                name = f"{goal}-{'square' if field == 'one' else field}-40-{start:02d}.json"
                 (folder / CELLS / name).write_text(json.dumps(cell))
 
 
@@ -66,13 +66,13 @@ def test_noise_leaves_an_aim_open(tmp_path):
 
 def test_a_ratio_is_of_sums_over_the_starts_that_both_have(tmp_path):
     write_league(tmp_path, lambda field, method, start: 1.0 + start if method == "bojax" else 2.0)
-    (tmp_path / CELLS / "map-coast-20-04.json").unlink()
-    found = League.read(tmp_path).ratio("rmse", "bojax", "lawnmower", ["one", "coast"], [20])
+    (tmp_path / CELLS / "map-coast-40-04.json").unlink()
+    found = League.read(tmp_path).ratio("rmse", "bojax", "lawnmower", ["one", "coast"], [40])
     assert found is not None
     interval, pairs, starts = found
     assert (pairs, starts) == (2, 4)
     assert interval.estimate == pytest.approx(np.mean([1, 2, 3, 4]) / 2.0)
-    assert League.read(tmp_path).ratio("rmse", "bojax", "SGP-Tools", ["coast"], [20]) is None
+    assert League.read(tmp_path).ratio("rmse", "bojax", "SGP-Tools", ["coast"], [40]) is None
 
 
 def test_without_its_routes_an_aim_is_not_tested(tmp_path):

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -10,16 +11,20 @@ from scipy.spatial.distance import cdist
 
 shapely = pytest.importorskip("shapely")
 
+from bojax.surveys.information import PointErrors  # noqa: E402
 from bojax.surveys.league import routes  # noqa: E402
-from bojax.surveys.league.cells import GOALS, LENGTHS, Cell, cells_of  # noqa: E402
+from bojax.surveys.league.cells import COVERING, GOALS, LENGTHS, Cell, cells_of  # noqa: E402
 from bojax.surveys.league.fields import (  # noqa: E402
     LENGTHSCALE,
+    MODEL,
     NOISE_VARIANCE,
+    SIDE,
     SQUARE,
     VARIANCE,
     Field,
     league,
 )
+from bojax.surveys.league.rivals import corner_route  # noqa: E402
 from bojax.surveys.league.routes import (  # noqa: E402
     GRID,
     SPACING,
@@ -33,7 +38,7 @@ from bojax.surveys.league.routes import (  # noqa: E402
 from bojax.surveys.league.scores import scores_of, threshold_of  # noqa: E402
 from bojax.surveys.mission import Mission  # noqa: E402
 from bojax.surveys.polylines import length_of, points_along  # noqa: E402
-from bojax.surveys.route import RouteOptions  # noqa: E402
+from bojax.surveys.route import RouteOptions, spread_points  # noqa: E402
 
 FIELD = Field("waves", SQUARE, lambda points: np.sin(points[:, 0]) + 0.1 * points[:, 1])
 PLACES = ("square", "coast", "new-guinea", "course")
@@ -113,19 +118,18 @@ def _noting(seen, observe):
     return noted
 
 
-@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("length", (*LENGTHS, COVERING))
 def test_stored_routes_keep_their_length_and_stay_in_their_area(length):
     routes = {key for key in peers() if key.endswith(f"-{length}")}
-    assert routes == {f"{key}-{length}" for key in ("lawnmower-square", *map("sgptools-{}".format, PLACES))}
+    assert routes == {f"sgptools-{place}-{length}" for place in PLACES}
     for field in {field.place: field for field in league()}.values():
         part = surveyed(field.area)
-        for name in ("sgptools", "lawnmower"):
-            for index, path in enumerate(peers().get(f"{name}-{field.place}-{length}", ())):
-                route = np.array(path)
-                np.testing.assert_allclose(route[0], start_of(part, index), atol=1e-3)
-                assert length_of(route) <= length * 1.003
-                dense = points_along(route, np.arange(0.0, length_of(route), 0.02))
-                assert part.distances(dense).min() > -1e-3
+        for index, path in enumerate(peers().get(f"sgptools-{field.place}-{length}", ())):
+            route = np.array(path)
+            np.testing.assert_allclose(route[0], start_of(part, index), atol=1e-3)
+            assert length_of(route) <= length * 1.003
+            dense = points_along(route, np.arange(0.0, length_of(route), 0.02))
+            assert part.distances(dense).min() > -1e-3
 
 
 def test_a_stored_route_is_among_those_of_its_place(monkeypatch):
@@ -138,15 +142,30 @@ def test_a_stored_route_is_among_those_of_its_place(monkeypatch):
     found, _ = map_routes(course, 20, 3)
     np.testing.assert_array_equal(found["SGP-Tools"], peers()["sgptools-course-20"][3])
     assert "lawnmower from a corner" not in found
-    found, _ = map_routes(Field("square", SQUARE, FIELD.value), 40, 3)
-    np.testing.assert_array_equal(found["lawnmower from a corner"], peers()["lawnmower-square-40"][3])
+    assert "lawnmower from a corner" in map_routes(Field("square", SQUARE, FIELD.value), 20, 3)[0]
+
+
+def test_lines_from_a_corner_use_the_length_and_are_those_of_the_least_expected_error(usual_jax):
+    start = np.array([2.593, 3.584])
+    with jax.enable_x64(True):
+        errors = PointErrors.of(MODEL.belief(), jnp.asarray(spread_points(SQUARE, 100)))
+        route = corner_route(SIDE, errors, 40.0, start, SPACING)
+        mirrored = corner_route(SIDE, errors, 40.0, SIDE - start, SPACING)
+    # Four lines, as given with the first measurements of such routes, to a hundredth.
+    x, low, high = [1.27, 3.757, 6.243, 8.73], 1.27, 8.73
+    lines = [(x[0], low), (x[0], high), (x[1], high), (x[1], low), (x[2], low), (x[2], high), (x[3], high)]
+    np.testing.assert_allclose(route, [start, *lines, (x[3], low)], atol=0.006)
+    assert length_of(route) == pytest.approx(40.0)
+    assert length_of(mirrored) == pytest.approx(40.0)
+    np.testing.assert_allclose(mirrored[1], SIDE - route[1], atol=1e-6)
 
 
 def test_places_share_their_routes():
     other = Field("island", SQUARE.without([(np.array([[4.0, 4.0], [5.0, 4.0], [4.0, 5.0]]),)]), FIELD.value)
     twin = Field("twin", SQUARE, FIELD.value)
     cells = list(cells_of([FIELD, other, twin], 2))
-    assert len({cell.name for cell in cells}) == len(cells) == 2 * len(LENGTHS) * (2 + 3 * (len(GOALS) - 1))
+    number = len(LENGTHS) * (2 + 3 * (len(GOALS) - 1)) + 2  # a length that covers is for maps alone
+    assert len({cell.name for cell in cells}) == len(cells) == 2 * number
     maps = [cell for cell in cells if cell.goal == "map" and cell.place == "square"]
-    assert [[field.name for field in cell.fields] for cell in maps] == [["waves", "twin"]] * 4
+    assert [[field.name for field in cell.fields] for cell in maps] == [["waves", "twin"]] * 6
     assert all(isinstance(cell, Cell) and cell.start == 0 for cell in cells[: len(cells) // 2])

@@ -80,6 +80,10 @@ def _tables(league: League) -> dict[str, Table]:
     for measure, (title, adaptive, digits) in TABLES.items():
         methods = [*adaptive, *METHODS]
         for length in league.lengths:
+            if adaptive and not any(
+                (measure, field, length, adaptive[0]) in league.errors for field in league.fields
+            ):
+                continue  # a length for maps alone
             rows = []
             for field in league.fields:
                 means = [league.mean(measure, field, length, method) for method in methods]
@@ -106,14 +110,15 @@ def _comparisons(aims: list[Judged]) -> Table:
 
 
 def _routes(folder: Path, league: League) -> tuple[Mapping[str, Any], str] | None:
-    """The routes of the first start and the largest length in the square."""
-    length = max(league.lengths)
-    found = [folder / CELLS / f"map-square-{length}-00.json"]
+    """The routes of the first start in the square, of the largest length with most of the goals."""
     field = league.fields[0]
-    found += [folder / CELLS / f"{goal}-{field}-{length}-00.json" for goal in ("hotspots", "threshold")]
-    routes = {
-        name: route for file in found if file.exists() for name, route in read_json(file)["routes"].items()
+    pieces = ("map-square", f"hotspots-{field}", f"threshold-{field}")
+    by_length = {
+        length: [file for piece in pieces if (file := folder / CELLS / f"{piece}-{length}-00.json").exists()]
+        for length in league.lengths
     }
+    length = max(by_length, key=lambda length: (len(by_length[length]), length))
+    routes = {name: route for file in by_length[length] for name, route in read_json(file)["routes"].items()}
     title = f"Routes of length {length} from the first start; those for goals on the field {field}."
     return (routes, title) if routes else None
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from bojax.surveys.league.fields import LENGTHSCALE, NOISE_VARIANCE, VARIANCE, Field
-from bojax.surveys.league.routes import LEG, NOISE, SPACING, STORED, adaptive_route, map_routes, peers
+from bojax.surveys.league.routes import LEG, NOISE, SPACING, adaptive_route, map_routes, peers
 from bojax.surveys.league.scores import SHARE, scores_of, threshold_of
 
-LENGTHS = (20, 40)
-"""Lengths of the routes."""
+LENGTHS, COVERING = (20, 40), 80
+"""Lengths of the routes, and one with which lines a lengthscale apart cover the square: for maps alone."""
 
 GOALS = ("map", "hotspots", "threshold")
 """Goals: the routes of the first do not depend on values, those of the others do."""
@@ -61,10 +61,10 @@ def cells_of(fields: Sequence[Field], starts: int) -> Iterator[Cell]:
     for field in fields:
         by_place.setdefault(field.place, []).append(field)
     for start in range(starts):
-        for length in LENGTHS:
+        for length in (*LENGTHS, COVERING):
             for place, together in by_place.items():
                 yield Cell("map", place, together, length, start)
-            for goal in GOALS[1:]:
+            for goal in GOALS[1:] if length != COVERING else ():
                 for field in fields:
                     yield Cell(goal, field.name, [field], length, start)
 
@@ -73,13 +73,12 @@ def describe(fields: Sequence[Field], starts: int) -> dict[str, Any]:
     """What a league is about, for its page, and to resume it only with the same numbers."""
     return {
         "starts": starts,
-        "lengths": list(LENGTHS),
+        "lengths": [*LENGTHS, COVERING],
         "fields": {field.name: {"place": field.place, "is_real": field.is_real} for field in fields},
         "process": {"lengthscale": LENGTHSCALE, "variance": VARIANCE, "noise_variance": NOISE_VARIANCE},
         "sampling": SPACING,
         "noise": NOISE,
         "leg": LEG,
         "share_above": SHARE,
-        "stored": list(STORED),
         "peers": peers()["about"],
     }

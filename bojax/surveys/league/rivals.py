@@ -1,9 +1,12 @@
-"""Simple routes of the league of surveys: a random one and a myopic one."""
+"""Simple routes of the league of surveys: a random one, a myopic one, and lines from a corner."""
+
+import itertools
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import root_scalar
 
 from bojax.areas.area import Area
 from bojax.surveys.information import PointErrors
@@ -12,6 +15,9 @@ from bojax.surveys.route import fitted, stays_inside
 
 STEP, HEADINGS = 1.0, 16
 """Length and number of directions of the steps that the myopic route compares."""
+
+LINES = range(2, 13)
+"""Numbers of lines that are compared."""
 
 
 def random_route(area: Area, budget: float, start: np.ndarray, seed: int) -> np.ndarray:
@@ -50,6 +56,38 @@ def myopic_route(
         scores = np.asarray(_after(errors, jnp.asarray(samples), jnp.asarray(taken)))[: len(ends)]
         route = ways[int(np.argmin(scores))]
     return route
+
+
+def corner_route(
+    side: float, errors: PointErrors, budget: float, start: np.ndarray, spacing: float
+) -> np.ndarray:
+    """Straight to the nearest corner of the square `[0, side]^2`, and from there back and forth in lines.
+
+    The lines lie as far apart as the budget allows and the square is wide. Of their possible numbers, along
+    either side, it has the one after which the model expects the least error.
+    """
+    distances = spacing * np.arange(1, round(budget / spacing) + 1)
+    routes = []
+    for number, is_along_x in itertools.product(LINES, (False, True)):
+
+        def excess(inset: float, number: int = number, is_along_x: bool = is_along_x) -> float:
+            return length_of(_lines(side, start, number, is_along_x, inset)) - budget
+
+        if excess(0.0) > 0.0 > excess(0.49 * side):
+            inset = root_scalar(excess, bracket=(0.0, 0.49 * side)).root
+            routes.append(_lines(side, start, number, is_along_x, inset))
+    samples = jnp.asarray(np.stack([points_along(route, distances) for route in routes]))
+    scores = _after(errors, samples, jnp.ones(samples.shape[:2], bool))
+    return routes[int(np.argmin(scores))]
+
+
+def _lines(side: float, start: np.ndarray, number: int, is_along_x: bool, inset: float) -> np.ndarray:
+    """A route from `start` along lines that end `inset` before the border."""
+    low, high = inset, side - inset
+    across = np.repeat(np.linspace(low, high, number), 2)
+    along = np.resize([low, high, high, low], 2 * number)
+    corners = np.stack([along, across] if is_along_x else [across, along], axis=1)
+    return np.concatenate([start[None], np.where(start > 0.5 * side, side - corners, corners)])
 
 
 @eqx.filter_jit

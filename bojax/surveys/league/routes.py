@@ -1,7 +1,7 @@
 """Routes of every method of the league from one start.
 
 The starts are stored in `peers.json`, with the routes of SGP-Tools 2.0.7 that `benchmarks/sgptools_paths.py`
-has made, and for the empty square those of a lawnmower that begins at the nearest corner.
+has made.
 """
 
 import json
@@ -19,8 +19,15 @@ from bojax.areas.area import Area
 from bojax.areas.shapes import to_area
 from bojax.surveys.information import PointErrors
 from bojax.surveys.lawnmower import Ground
-from bojax.surveys.league.fields import LENGTHSCALE, MODEL, NOISE_VARIANCE, VARIANCE, Field
-from bojax.surveys.league.rivals import myopic_route, random_route
+from bojax.surveys.league.fields import (
+    LENGTHSCALE,
+    MODEL,
+    NOISE_VARIANCE,
+    SIDE,
+    VARIANCE,
+    Field,
+)
+from bojax.surveys.league.rivals import corner_route, myopic_route, random_route
 from bojax.surveys.mission import Mission
 from bojax.surveys.planning import Demand, plan_survey
 from bojax.surveys.polylines import Waypoints, length_of, points_along
@@ -35,8 +42,8 @@ GRID = 0.25
 LEG = 5.0
 """Distance that an adaptive route drives before it is planned anew."""
 
-STORED = {"lawnmower from a corner": "lawnmower", "SGP-Tools": "sgptools"}
-"""Methods with stored routes, and the beginnings of their keys in `peers.json`."""
+CORNER, STORED = "lawnmower from a corner", "SGP-Tools"
+"""The method with routes for the empty square alone, and the one whose routes are stored."""
 
 
 PEERS = Path(__file__).with_name("peers.json")
@@ -76,9 +83,10 @@ def map_routes(field: Field, length: float, index: int) -> tuple[dict[str, Waypo
         "myopic": myopic_route(part, errors, length, start, SPACING),
         "random": random_route(part, length, start, index),
     }
-    for name, key in STORED.items():
-        if stored := peers().get(f"{key}-{field.place}-{length:g}"):
-            routes[name] = np.asarray(stored[index])
+    if field.place == "square":
+        routes[CORNER] = corner_route(SIDE, errors, length, start, SPACING)
+    if stored := peers().get(f"sgptools-{field.place}-{length:g}"):
+        routes[STORED] = np.asarray(stored[index])
     return routes, seconds
 
 
