@@ -133,7 +133,7 @@ def from_validation(
     lines = error.errors(include_url=False)
     first = lines[0]
     others = len(lines) - 1 + sum(line.get("ctx", {}).get("others", 0) for line in lines)
-    more = f" (and {others} more)" if others else ""
+    more = f" (and {others} more error{'s' * (others > 1)})" if others else ""
     return ConfigError(f"{locate(first['loc'])}: {_message(first, siblings)}{more}")
 
 

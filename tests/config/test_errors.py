@@ -74,7 +74,7 @@ seed: 4294967296
 engine: []
 => x.yaml: engine: got []; allowed: a mapping
 {problem: {half_width: 0, max_steps: 0}, dtype: x}
-=> x.yaml: dtype: got "x"; allowed: "float64" or "float32" (and 2 more)
+=> x.yaml: dtype: got "x"; allowed: "float64" or "float32" (and 2 more errors)
 base: parking
 => x.yaml: is a sweep, not an experiment; start it with: bojax sweep x.yaml
 planner: {kind: sbo, motions: kernel}

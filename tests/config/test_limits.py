@@ -127,4 +127,4 @@ def test_only_the_first_unknown_key_is_described(write):
     write("x.yaml", "problem: {" + ", ".join(f"k{index}: 1" for index in range(500)) + "}")
     message = refusal(load_config, "x.yaml")
     assert message.startswith("x.yaml: problem.k0: unknown key; allowed: ")
-    assert message.endswith(" (and 499 more)")
+    assert message.endswith(" (and 499 more errors)")
