@@ -140,8 +140,8 @@ AIMS = (
         "rmse_learned", "bojax", 1.03, "square", "field",
         reason="clouds are no longer among the fields that are worse. On the elevation, the route is worse "
         "than lines from a corner at all lengths; on the pacific and the bathymetry, at length 20 alone. On "
-        "the bathymetry, it is worse than SGP-Tools at length 80. Errors of single starts differ too much for "
-        "a verdict.",
+        "the bathymetry, it is worse than SGP-Tools at length 80. Errors of single starts differ too much "
+        "for a verdict.",
     ),
     Aim(
         "odd fields, learned",
