@@ -13,6 +13,7 @@ import numpy as np
 from bojax.areas import polygons
 from bojax.areas.area import Area, check_inside
 from bojax.areas.shapes import shapely_module, to_area, to_shape
+from bojax.fields.data import split_choice
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
 from bojax.fields.raster_files import SUFFIXES as RASTERS
@@ -126,7 +127,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         return Place(
             area, Area.rectangle(0.0, 0.0, width, height), Projection.of(None, (0, 0, width, height))
         )
-    suffix = Path(area.partition(".nc:")[0] + ".nc" if ".nc:" in area else area).suffix.lower()
+    suffix = Path(split_choice(area)[0]).suffix.lower()
     if suffix not in (*polygons.SUFFIXES, *RASTERS):
         allowed = f"a size such as 500x300, or a file: {', '.join((*polygons.SUFFIXES, *RASTERS))}"
         shapes = {".shp", ".gpkg"}  # formats that GIS programs write by default
@@ -142,6 +143,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         else:
             raster = read_raster(area, MOST_CELLS)
             shape, crs = _surveyed(raster, below), raster.crs
+            notes += (f"{area}: {note}" for note in raster.notes)
             if raster.step > 1:
                 notes.append(f"{area}: only every {raster.step}th row and column is used.")
         x_min, y_min, x_max, y_max = shape.bounds
@@ -179,7 +181,7 @@ def read_outlined(
 
 def _after(file: str, error: ValueError) -> str:
     message = str(error)
-    return message if message.startswith(file.partition(".nc:")[0]) else f"{file}: {message}"
+    return message if message.startswith(split_choice(file)[0]) else f"{file}: {message}"
 
 
 def _metres(text: str, unit: str, name: str) -> float:

@@ -7,11 +7,12 @@ import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
 from bojax.areas.shapes import rings_of, shapely_module
+from bojax.areas.triangles import Triangles, nodes_to
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-MOST_CORNERS = 400  # of the graph; the outline is simplified until it has no more
+MOST_CORNERS = 400  # of the visibility graph
 
 
 class Ways(Protocol):
@@ -29,14 +30,16 @@ class Ways(Protocol):
 class Transfers:
     """Shortest paths between points of a shape, by its visibility graph.
 
-    A shortest path bends only at corners of the border where the area lies on the outside of the turn.
+    A shortest path bends only at corners of the border where the area lies on the outside of the turn. If
+    there are more than `MOST_CORNERS` of them, paths are found along the edges of a triangulation and
+    shortened by line of sight instead: they are a few per cent longer than the shortest.
     """
 
     def __init__(self, shape: "BaseGeometry"):
         """Prepare the paths in `shape`; paths may run along its border."""
         shapely = shapely_module()
         x_min, y_min, x_max, y_max = shape.bounds
-        self._tolerance = 1e-9 * max(x_max - x_min, y_max - y_min)
+        self._tolerance = max(1e-9 * max(x_max - x_min, y_max - y_min), 1e-6)  # as of `check_inside`
         self._shape = shape.buffer(self._tolerance)
         shapely.prepare(self._shape)
         self._simple = shape
@@ -55,6 +58,14 @@ class Transfers:
         """
         if self.are_clear(first[None], last[None])[0]:
             return np.stack([first, last])
+        is_small = len(self._corners) <= MOST_CORNERS
+        path = self._seen(first, last) if is_small else self._shortened(first, last)
+        if path is None:
+            raise ValueError(f"no path in the area joins {_shown(first)} and {_shown(last)}")
+        return path
+
+    def _seen(self, first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
+        """The shortest path in the visibility graph."""
         corners, lengths = self.graph
         number = len(corners)
         ends = np.stack([first, last])
@@ -68,16 +79,44 @@ class Transfers:
             )
         distance, before = dijkstra(whole, indices=number, return_predecessors=True)
         if not np.isfinite(distance[number + 1]):
-            raise ValueError(f"no path in the area joins {_shown(first)} and {_shown(last)}")
-        nodes, node = [], number + 1
-        while node >= 0:
-            nodes.append(node)
-            node = int(before[node])
-        return np.concatenate([corners, ends])[nodes[::-1]]
+            return None
+        return np.concatenate([corners, ends])[nodes_to(number + 1, before)]
+
+    def _shortened(self, first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
+        """A way along edges of triangles, from each waypoint of which the next is the last in sight."""
+        way = self._triangles.way(first, last, self._tolerance)
+        if way is None:
+            return None
+        kept = [0]
+        while kept[-1] < len(way) - 1:
+            kept.append(self._last_in_sight(way, kept[-1]))
+        return way[kept]
+
+    def _last_in_sight(self, way: np.ndarray, at: int) -> int:
+        """The last waypoint that one sees, by growing parts of the way until one has none in sight."""
+        last, begin, size = at + 1, at + 2, 8
+        while begin < len(way):
+            farther = way[begin : begin + size]
+            seen = np.flatnonzero(self.are_clear(np.broadcast_to(way[at], farther.shape), farther))
+            if not len(seen):
+                break
+            last, begin, size = begin + int(seen[-1]), begin + size, 2 * size
+        return last
+
+    @cached_property
+    def _triangles(self) -> Triangles:
+        return Triangles(self._simple)
+
+    @cached_property
+    def _corners(self) -> np.ndarray:
+        return _outer_corners(self._simple)
 
     @cached_property
     def graph(self) -> tuple[np.ndarray, np.ndarray]:
-        """The corners `[C, 2]` at which paths bend, and the lengths between those that see each other."""
+        """The corners `[C, 2]` at which paths bend, and the lengths between those that see each other.
+
+        Of more than `MOST_CORNERS`, the outline is simplified, so that some places may see no corner.
+        """
         corners = self._bends()
         lengths = np.linalg.norm(corners[:, None] - corners[None], axis=2)
         first, last = np.triu_indices(len(corners), 1)
@@ -91,7 +130,7 @@ class Transfers:
         An outline with too many corners is simplified after it was drawn in, so that it stays in the shape.
         """
         shapely = shapely_module()
-        bends = _outer_corners(self._simple)
+        bends = self._corners
         x_min, y_min, x_max, y_max = self._simple.bounds
         tolerance = 1e-3 * max(x_max - x_min, y_max - y_min)
         while len(bends) > MOST_CORNERS:

@@ -2,17 +2,62 @@
 
 import hashlib
 import os
+import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.limits import NUMBERS, TEXT, read_within
-from bojax.fields.raster import with_holes
+from bojax.fields.raster import DEGREES, with_holes
 from bojax.fields.text_table import parse_table
 from bojax.models.settings import GREATEST
 from bojax.text import one_line
 
 if TYPE_CHECKING:
     import numpy as np
+
+_WITH_CHOICE = re.compile(r"(.+?\.(?:csv|txt|xyz|nc4?|tiff?)):(.*)", re.IGNORECASE)
+
+
+def split_choice(file: str) -> tuple[str, str]:
+    """The name of the file in `FILE:CHOICE`, and what is chosen of its content, empty for nothing."""
+    found = None if os.path.exists(file) else _WITH_CHOICE.fullmatch(file)
+    return (found[1], found[2]) if found else (file, "")
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Values at points, from a file.
+
+    Attributes:
+        rows: `[N, 3]`: x, y and value.
+        names: Names of these columns; none if the file has none.
+        left_out: Number of rows without data, which are left out.
+    """
+
+    rows: "np.ndarray"
+    names: list[str]
+    left_out: int = 0
+
+    @property
+    def crs(self) -> str | None:
+        """Coordinate reference system: degrees if a column is a longitude by its name; None if unknown."""
+        return DEGREES if self.names and self.names[0].startswith("lon") else None
+
+    def check_degrees(self) -> None:
+        """Refuse positions that cannot be longitudes and latitudes.
+
+        Raises:
+            ValueError: One of them is out of range.
+        """
+        import numpy as np
+
+        for column, (kind, largest) in enumerate((("longitudes", 360), ("latitudes", 90))):
+            name = self.names[column] if self.names else str(column + 1)
+            most = self.rows[np.abs(self.rows[:, column]).argmax(), column]
+            if abs(most) > largest:
+                allowed = f"{kind} from -{largest} to {largest}, in degrees"
+                raise ValueError(f"column {name}: got {most:.10g}; allowed: {allowed}")
 
 
 def read_array(file: str, allows_holes: bool = False) -> "np.ndarray":
@@ -25,29 +70,34 @@ def read_array(file: str, allows_holes: bool = False) -> "np.ndarray":
     Raises:
         ValueError: The file cannot be read, or is not a table of finite numbers. The message is one line.
     """
-    return _read_table(file, allows_holes)[0]
+    return _checked(_read_table(file)[0], file, allows_holes)
 
 
-def read_points(file: str) -> "tuple[np.ndarray, list[str]]":
-    """Rows of x, y and value in a `.csv`, `.xyz`, `.txt` or `.npy` file, and the names of these columns.
+def read_points(file: str) -> Points:
+    """Rows of x, y and value in a `.csv`, `.xyz`, `.txt` or `.npy` file.
 
     Columns are chosen by their names (x or lon, y or lat, and z, value, depth, ... or the only other one);
-    without names there must be three. Rows without data are left out.
+    `FILE.csv:NAME` chooses the values. Without names there must be three columns. Columns of text are
+    ignored, and rows without data are left out.
 
     Raises:
         ValueError: The file cannot be read, or has no such columns. The message is one line.
     """
-    table, names = _read_table(file, allows_holes=True)
-    columns = _columns(names) if names else None
-    if columns is None:
-        if table.shape[1] != 3:
-            raise ValueError(f"{file}: got {table.shape[1]} columns; allowed: 3, which are x, y and value")
-        columns = [0, 1, 2]
-    table = table[:, columns]
-    table = table[(table == table).all(axis=1)]
-    if not len(table):
-        raise ValueError(f"{file}: no row has data")
-    return table, [names[column] for column in columns] if names else []
+    path, chosen = split_choice(file)
+    table, names = _read_table(path, ignores_text=True)
+    columns = _columns(table, names, chosen, path)
+    table = _checked(table[:, columns], path, allows_holes=True)
+    has_data = (table == table).all(axis=1)
+    if not has_data.any():
+        raise ValueError(f"{path}: no row has data")
+    names = [names[column] for column in columns] if names else []
+    points = Points(table[has_data], names, int((~has_data).sum()))
+    if points.crs == DEGREES:
+        try:
+            points.check_degrees()
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    return points
 
 
 def read_waypoints(file: str) -> "np.ndarray":
@@ -57,7 +107,8 @@ def read_waypoints(file: str) -> "np.ndarray":
         ValueError: The file cannot be read, or has no such columns or fewer than two rows. The message is one
             line.
     """
-    table, names = _read_table(file, allows_holes=False)
+    table, names = _read_table(file)
+    table = _checked(table, file, allows_holes=False)
     if {"x", "y"} <= set(names):
         table = table[:, [names.index("x"), names.index("y")]]
     if table.shape[1] != 2 or len(table) < 2:
@@ -71,17 +122,35 @@ Y_NAMES = ("y", "lat", "latitude", "north", "northing")
 VALUE_NAMES = ("z", "value", "values", "depth", "elevation", "height", "measurement")
 
 
-def _columns(names: list[str]) -> list[int] | None:
-    """The columns of x, y and value among named ones, None if they cannot be told apart."""
-    found = [next((names.index(n) for n in known if n in names), None) for known in (X_NAMES, Y_NAMES)]
-    rest = [column for column in range(len(names)) if column not in found]
-    values = [column for column in rest if names[column] in VALUE_NAMES] or rest
-    if None in found or len(values) != 1:
-        return None
-    return [*(column for column in found if column is not None), values[0]]
+def _columns(table: "np.ndarray", names: list[str], chosen: str, file: str) -> list[int]:
+    """The columns of x, y and value: by their names, or the only three."""
+    if chosen and not names:
+        raise ValueError(f"{file}: got column {chosen}, but the columns have no names; allowed: {file}")
+    x, y = (next((names.index(n) for n in known if n in names), None) for known in (X_NAMES, Y_NAMES))
+    if x is None or y is None:
+        if len(table.T) == 3 and not chosen:
+            return [0, 1, 2]
+        if not names:
+            raise ValueError(f"{file}: got {table.shape[1]} columns; allowed: 3, which are x, y and value")
+        known = f"a column {' or '.join(X_NAMES)}, and a column {' or '.join(Y_NAMES)}"
+        raise ValueError(f"{file}: got columns {', '.join(names)}; allowed: {known}")
+    rest = [column for column in range(len(names)) if column not in (x, y)]
+    rest = [column for column in rest if (table[:, column] == table[:, column]).any()] or rest
+    if chosen:
+        values = [column for column in rest if names[column] == chosen.lower()]
+    else:
+        values = [column for column in rest if names[column] in VALUE_NAMES] or rest
+    if len(values) == 1:
+        return [x, y, values[0]]
+    if not rest:
+        raise ValueError(f"{file}: has no column of values beside {names[x]} and {names[y]}")
+    listed = ", ".join(names[column] for column in rest)
+    if chosen:
+        raise ValueError(f"{file}: got column {chosen}; allowed: {listed}")
+    raise ValueError(f"{file}: holds several columns of values; allowed: {file}:NAME with one of {listed}")
 
 
-def _read_table(file: str, allows_holes: bool) -> "tuple[np.ndarray, list[str]]":
+def _read_table(file: str, ignores_text: bool = False) -> "tuple[np.ndarray, list[str]]":
     import numpy as np  # not at the start of every command
 
     path, names = Path(file), list[str]()
@@ -93,7 +162,7 @@ def _read_table(file: str, allows_holes: bool) -> "tuple[np.ndarray, list[str]]"
             with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
         elif path.suffix in (".csv", ".xyz", ".txt"):
-            table, names = parse_table(read_within(TEXT, path, file).decode())
+            table, names = parse_table(read_within(TEXT, path, file).decode(), ignores_text)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     except OSError as error:
@@ -109,6 +178,13 @@ def _read_table(file: str, allows_holes: bool) -> "tuple[np.ndarray, list[str]]"
             f"{file}: holds {table.dtype} of shape {table.shape}; a table of real numbers is expected"
         )
     NUMBERS.check(table.size, file)
+    return table, names
+
+
+def _checked(table: "np.ndarray", file: str, allows_holes: bool) -> "np.ndarray":
+    """The numbers of a table of the file, NaN for those that mean missing data if holes are allowed."""
+    import numpy as np
+
     with np.errstate(over="ignore"):  # numbers beyond the range of float64 become infinite
         table = np.array(table, np.float64)
     if allows_holes:
@@ -120,7 +196,7 @@ def _read_table(file: str, allows_holes: bool) -> "tuple[np.ndarray, list[str]]"
         raise ValueError(f"{file}: no cell has data")
     if (largest := np.nanmax(np.abs(table))) > GREATEST:
         raise ValueError(f"{file}: got {largest:g}; allowed: numbers up to {GREATEST:g} in magnitude")
-    return table, names
+    return table
 
 
 def sha256_of(file: str) -> str:
@@ -130,8 +206,8 @@ def sha256_of(file: str) -> str:
 
 
 def sha256_of_files(*files: str) -> str:
-    """The SHA-256 of the content of a file, or of those of several; `FILE:NAME` stands for its file."""
-    digests = [sha256_of(file if os.path.exists(file) else file.partition(":")[0]) for file in files]
+    """The SHA-256 of the content of a file, or of those of several; `FILE:CHOICE` stands for its file."""
+    digests = [sha256_of(split_choice(file)[0]) for file in files]
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 

@@ -28,6 +28,7 @@ class Raster:
         y: Positions of the rows, increasing.
         crs: Coordinate reference system; None for metres without a place on the Earth.
         step: Number of cells of the file, along each axis, that one cell stands for.
+        notes: What a user should know of how it was read, a sentence each.
     """
 
     values: "np.ndarray"
@@ -35,6 +36,7 @@ class Raster:
     y: "np.ndarray"
     crs: str | None = None
     step: int = 1
+    notes: tuple[str, ...] = ()
 
     @property
     def is_hole(self) -> "np.ndarray":

@@ -1,12 +1,13 @@
 """Readers of rasters: GeoTIFF, NetCDF, ESRI ASCII, XYZ, NumPy files and tables of numbers."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.extras import needed
 from bojax.config.limits import NUMBERS, TEXT, read_within
-from bojax.fields.data import X_NAMES, Y_NAMES, read_array, read_points
+from bojax.fields.data import X_NAMES, Y_NAMES, Points, read_array, read_points, split_choice
 from bojax.fields.projection import Projection
 from bojax.fields.raster import DEGREES, Raster, regular, thinning
 from bojax.text import one_line
@@ -14,7 +15,8 @@ from bojax.text import one_line
 if TYPE_CHECKING:
     import numpy as np
 
-_WITH_RASTERIO = (".tif", ".tiff", ".nc", ".nc4")
+_NETCDF = (".nc", ".nc4")
+_WITH_RASTERIO = (".tif", ".tiff", *_NETCDF)
 _TABLES = (".npy", ".csv")
 _GRIDS = (".asc", ".npz", ".xyz")
 SUFFIXES = (*_TABLES, *_GRIDS, *_WITH_RASTERIO)
@@ -22,11 +24,17 @@ SUFFIXES = (*_TABLES, *_GRIDS, *_WITH_RASTERIO)
 
 FORMATS = ".npy, .npz, .csv, .xyz, .asc (ESRI ASCII), and with the extra `geo` .tif and .nc"
 
+UNSIZED = (
+    "it has no positions of rows and columns (arrays x and y of a .npz file): cells are taken to be 1 m wide."
+)
+"""The note on a raster without them."""
+
 
 def read_raster(file: str, most: int | None = None) -> Raster:
     """The raster in a file, thinned to at most `most` cells, by default as many as the memory allows.
 
-    A NetCDF file with several variables needs the name of one: `FILE.nc:NAME`.
+    A NetCDF file with several variables needs the name of one: `FILE.nc:NAME`. A file with several bands,
+    such as times, needs the number of one, from 1: `FILE.nc:NAME:3`, or `FILE.tif::3`, which has no names.
 
     Raises:
         ValueError: The file cannot be read, or holds no raster; the message is one line that begins with
@@ -34,7 +42,7 @@ def read_raster(file: str, most: int | None = None) -> Raster:
         MissingExtra: The format needs the extra `geo`.
     """
     most = NUMBERS.allowed if most is None else most
-    path, _, variable = file.rpartition(":") if _has_variable(file) else (file, "", "")
+    path, chosen = split_choice(file)
     suffix = Path(path).suffix.lower()
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
         raise ValueError(f"{file}: is not a regular file")
@@ -42,7 +50,9 @@ def read_raster(file: str, most: int | None = None) -> Raster:
         raise ValueError(f"{file}: the name has to end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
     try:
         if suffix in _WITH_RASTERIO:
-            return _read_with_rasterio(path, variable, most)
+            return _read_with_rasterio(path, chosen, most)
+        if chosen:
+            raise ValueError(f"{path}: got {chosen}, but a grid is read as a whole; allowed: {path}")
         return _read_plain(file, suffix).thinned(most)
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror or one_line(error)}") from error
@@ -69,11 +79,11 @@ def frame_of(file: str) -> Projection:
         ValueError: The file cannot be read.
     """
     try:
-        rows, names = read_points(file)
+        points = read_points(file)
     except ValueError:
         raster = read_raster(file)
         return Projection.of(raster.crs, raster.extent)
-    return _points_frame(rows, names)
+    return _points_frame(points)
 
 
 def read_local_points(file: str) -> "np.ndarray":
@@ -82,19 +92,14 @@ def read_local_points(file: str) -> "np.ndarray":
     Raises:
         ValueError: The file cannot be read, or has no such columns. The message is one line.
     """
-    rows, names = read_points(file)
-    rows[:, :2] = _points_frame(rows, names).to_local(rows[:, :2])
-    return rows
+    points = read_points(file)
+    points.rows[:, :2] = _points_frame(points).to_local(points.rows[:, :2])
+    return points.rows
 
 
-def _points_frame(rows: "np.ndarray", names: list[str]) -> Projection:
-    (x_min, y_min), (x_max, y_max) = rows[:, :2].min(0), rows[:, :2].max(0)
-    extent = float(x_min), float(y_min), float(x_max), float(y_max)
-    return Projection.of(DEGREES if names and names[0].startswith("lon") else None, extent)
-
-
-def _has_variable(file: str) -> bool:
-    return not os.path.exists(file) and Path(file.rpartition(":")[0]).suffix.lower() in (".nc", ".nc4")
+def _points_frame(points: Points) -> Projection:
+    (x_min, y_min), (x_max, y_max) = points.rows[:, :2].min(0), points.rows[:, :2].max(0)
+    return Projection.of(points.crs, (float(x_min), float(y_min), float(x_max), float(y_max)))
 
 
 def _read_plain(file: str, suffix: str) -> Raster:
@@ -105,9 +110,10 @@ def _read_plain(file: str, suffix: str) -> Raster:
     if suffix == ".npz":
         return _read_archive(file)
     if suffix == ".xyz":
-        return _pivoted(*read_points(file), file)
+        return _pivoted(read_points(file), file)
     table = read_array(file, allows_holes=True)
-    return regular(table, np.arange(table.shape[1]), np.arange(table.shape[0]), None, file)
+    raster = regular(table, np.arange(table.shape[1]), np.arange(table.shape[0]), None, file)
+    return replace(raster, notes=(UNSIZED,))
 
 
 def _read_ascii(file: str) -> Raster:
@@ -164,7 +170,8 @@ def _read_archive(file: str) -> Raster:
     x, x_name = _axis_of(arrays, X_NAMES, values.shape[1])
     y, y_name = _axis_of(arrays, Y_NAMES, values.shape[0])
     is_geographic = x_name.startswith("lon") and y_name.startswith("lat")
-    return regular(values, x, y, DEGREES if is_geographic or _are_degrees(x, y) else None, file)
+    raster = regular(values, x, y, DEGREES if is_geographic or _are_degrees(x, y) else None, file)
+    return raster if x_name and y_name else replace(raster, notes=(UNSIZED,))
 
 
 def _axis_of(arrays: dict[str, Any], names: tuple[str, ...], size: int) -> "tuple[np.ndarray, str]":
@@ -180,49 +187,70 @@ def _axis_of(arrays: dict[str, Any], names: tuple[str, ...], size: int) -> "tupl
     return np.arange(size, dtype=float), ""
 
 
-def _pivoted(points: "np.ndarray", names: list[str], file: str) -> Raster:
+def _pivoted(points: Points, file: str) -> Raster:
     """A raster from rows of x, y and value of its cells, in any order; absent cells are holes."""
     import numpy as np
 
-    x, y = np.unique(points[:, 0]), np.unique(points[:, 1])
-    if len(x) * len(y) > 4 * len(points):
+    rows = points.rows
+    x, y = np.unique(rows[:, 0]), np.unique(rows[:, 1])
+    if len(x) * len(y) > 4 * len(rows):
         raise ValueError("the points are not on a regular grid; allowed for points: the field scattered")
     values = np.full((len(y), len(x)), np.nan)
-    values[np.searchsorted(y, points[:, 1]), np.searchsorted(x, points[:, 0])] = points[:, 2]
-    is_geographic = bool(names) and names[0].startswith("lon")
-    return regular(values, x, y, DEGREES if is_geographic else None, file)
+    values[np.searchsorted(y, rows[:, 1]), np.searchsorted(x, rows[:, 0])] = rows[:, 2]
+    return regular(values, x, y, points.crs, file)
 
 
-def _read_with_rasterio(path: str, variable: str, most: int) -> Raster:
+def _read_with_rasterio(path: str, chosen: str, most: int) -> Raster:
     with needed("rasterio", "geo"):
         import rasterio
     import warnings
 
     if not os.path.exists(path):
         raise ValueError(f"{path}: No such file or directory")
+    variable, _, band = chosen.partition(":")
     name = f'netcdf:"{path}":{variable}' if variable else path
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a file without a place on the Earth
-        with rasterio.open(name) as data:
+        if variable and Path(path).suffix.lower() not in _NETCDF:
+            raise ValueError(f"{path}: got {chosen}; allowed: {path}::BAND")
+        try:
+            opened = rasterio.open(name)
+        except OSError:
+            with rasterio.open(path) as data:
+                allowed = ", ".join(_variables(data)) or "none"
+            raise ValueError(f"{path}: got variable {variable}; allowed: {allowed}") from None
+        with opened as data:
             if data.count == 0 and data.subdatasets:
-                names = ", ".join(each.rpartition(":")[2] for each in data.subdatasets)
-                raise ValueError(f"{path}: holds several variables; allowed: {path}:NAME with one of {names}")
-            return _from_rasterio(data, path, most)
+                allowed = f"{path}:NAME with one of {', '.join(_variables(data))}"
+                raise ValueError(f"{path}: holds several variables; allowed: {allowed}")
+            bands = [str(number + 1) for number in range(data.count)]
+            if band and band not in bands:
+                raise ValueError(f"{path}: got band {band}; allowed: 1 to {data.count}")
+            if not band and len(bands) != 1:
+                allowed = f"{path}:{variable}:BAND with one of 1 to {data.count}"
+                raise ValueError(f"{path}: has {data.count} bands; allowed: {allowed}")
+            return _from_rasterio(data, int(band or 1), path, most)
 
 
-def _from_rasterio(data: Any, path: str, most: int) -> Raster:
+def _variables(data: Any) -> list[str]:
+    """Names of the variables of a NetCDF file."""
+    if data.subdatasets:
+        return [each.rpartition(":")[2] for each in data.subdatasets]
+    name = data.tags(1).get("NETCDF_VARNAME") if data.count else None
+    return [name] if name else []
+
+
+def _from_rasterio(data: Any, band: int, path: str, most: int) -> Raster:
     import numpy as np
     from rasterio.enums import Resampling
 
-    if data.count != 1:
-        raise ValueError(f"{path}: has {data.count} bands; allowed: one (gdal_translate -b 1 writes a band)")
     transform = data.transform
     if transform.b or transform.d:
         raise ValueError(f"{path}: is rotated; allowed: rows along x (gdalwarp writes such a file)")
     step = thinning(data.shape, most)
     shape = tuple(max(2, size // step) for size in data.shape)
-    masked = data.read(1, masked=True, out_shape=shape, resampling=Resampling.nearest)
-    values = np.ma.filled(masked.astype(float) * data.scales[0] + data.offsets[0], np.nan)
+    masked = data.read(band, masked=True, out_shape=shape, resampling=Resampling.nearest)
+    values = np.ma.filled(masked.astype(float) * data.scales[band - 1] + data.offsets[band - 1], np.nan)
     x = transform.c + transform.a * (np.arange(shape[1]) + 0.5) * data.width / shape[1]
     y = transform.f + transform.e * (np.arange(shape[0]) + 0.5) * data.height / shape[0]
     crs = data.crs.to_string() if data.crs else None

@@ -8,11 +8,15 @@ if TYPE_CHECKING:
 _MISSING = ("", "na", "n/a", "nan", "null", "none", "--", "-")
 
 
-def parse_table(text: str) -> "tuple[np.ndarray, list[str]]":
+def parse_table(text: str, ignores_text: bool = False) -> "tuple[np.ndarray, list[str]]":
     """The numbers `[N, C]` of a table and the names of its columns, none if it has no header.
 
     Columns are separated by semicolons, tabs, commas or spaces; with semicolons, a comma is a decimal point.
     Text after # is a comment. Empty cells and NA are NaN.
+
+    Args:
+        text: The table.
+        ignores_text: Whether columns without a number, such as times or names, are left out.
 
     Raises:
         ValueError: There are no numbers, a cell is not a number, or rows differ in length.
@@ -34,10 +38,28 @@ def parse_table(text: str) -> "tuple[np.ndarray, list[str]]":
     except ValueError:
         rows = [_cells(line, delimiter) for line in lines]
         filled = [["nan" if cell.lower() in _MISSING else cell for cell in row] for row in rows]
-        if filled == rows:
+        is_text = _text_columns(filled) if ignores_text else [False] * len(rows[0])
+        if filled == rows and not any(is_text):
             raise
+        if any(is_text):
+            filled = [
+                ["nan" if no else cell for no, cell in zip(is_text, row, strict=True)] for row in filled
+            ]
         table = np.loadtxt([";".join(row) for row in filled], delimiter=";", ndmin=2)
+        names = names if len(names) == len(is_text) else []
+        names = [name for name, no in zip(names, is_text, strict=False) if not no]
+        if _is_numbers(names):  # the first line is a row
+            raise ValueError("columns of text have no names; allowed: a first line with names") from None
+        table = table[:, ~np.array(is_text)]
     return table, names if len(names) == table.shape[1] else []
+
+
+def _text_columns(rows: list[list[str]]) -> list[bool]:
+    """Whether each column holds text and no number; none does if the rows differ in length."""
+    if len({len(row) for row in rows}) > 1:
+        return [False] * len(rows[0])
+    columns = [[cell for cell in column if cell != "nan"] for column in zip(*rows, strict=True)]
+    return [bool(cells) and not any(_is_numbers([cell]) for cell in cells) for cells in columns]
 
 
 def _delimiter(line: str) -> str | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from bojax.areas.area import Area
+from bojax.areas.area import Area, edges_of
 from bojax.areas.shapes import polygons_of, rings_of, shapely_module, to_shape
 from bojax.areas.transfers import Transfers, Ways
 from bojax.surveys.polylines import driven_at, length_of
@@ -171,10 +171,11 @@ def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np
     low, high = corners[:, 1].min(), corners[:, 1].max()
     number = max(1, math.ceil((high - low) / spacing - 1e-9))
     heights = low + (np.arange(number) + 0.5) * (high - low) / number
+    edges = edges_of(rings)
     done: list[list[np.ndarray]] = []
     growing: list[tuple[np.ndarray, list[np.ndarray]]] = []  # the last piece and the cell of each
     for y in heights:
-        pieces = _pieces(rings, y)
+        pieces = _pieces(edges, y)
         touches = np.array(
             [[last[0] < piece[1] and piece[0] < last[1] for piece in pieces] for last, _ in growing], bool
         ).reshape(len(growing), len(pieces))
@@ -194,15 +195,14 @@ def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np
     return done
 
 
-def _pieces(rings: list[np.ndarray], y: float) -> list[np.ndarray]:
-    """Pieces `[x_min, x_max]` in which the line at a height cuts the area."""
-    crossings = []
-    for ring in rings:
-        first, last = ring, np.roll(ring, -1, axis=0)
-        spans = (first[:, 1] > y) != (last[:, 1] > y)
-        share = (y - first[spans, 1]) / (last[spans, 1] - first[spans, 1])
-        crossings.append(first[spans, 0] + share * (last[spans, 0] - first[spans, 0]))
-    return list(np.sort(np.concatenate(crossings)).reshape(-1, 2))
+def _pieces(edges: tuple[np.ndarray, np.ndarray], y: float) -> list[np.ndarray]:
+    """Pieces `[x_min, x_max]` in which the line at a height cuts the area within edges, as of `edges_of`."""
+    first, last = edges
+    spans = (first[:, 1] > y) != (last[:, 1] > y)
+    first, last = first[spans], last[spans]
+    share = (y - first[:, 1]) / (last[:, 1] - first[:, 1])
+    crossings = first[:, 0] + share * (last[:, 0] - first[:, 0])
+    return list(np.sort(crossings).reshape(-1, 2))
 
 
 def _ways(cell: list[np.ndarray]) -> list[np.ndarray]:

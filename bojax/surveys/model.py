@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bojax.areas.place import MOST_CELLS, Place
-from bojax.fields.data import read_points
+from bojax.fields.data import read_points, split_choice
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
 from bojax.fields.scale import unit_doubt
@@ -23,6 +23,9 @@ MOST_POINTS = 200
 
 MOST_SEEN = 1000
 """Points of an earlier survey that the weights of a goal are computed from."""
+
+SMALL = 0.01
+"""Share of the area's width that an earlier survey covers, below which the unit of positions is doubted."""
 
 NOISE = 0.1  # standard deviation of the noise of a measurement, as a share of that of the field
 
@@ -88,16 +91,22 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
         lengthscale: Its lengthscale, m; learned if None.
 
     Raises:
-        ValueError: The file cannot be read, has fewer than 10 values, or all of them are equal.
+        ValueError: The file cannot be read, has fewer than 10 values, or all of them, or their places, are
+            equal.
     """
-    points, values = _read_values(file, place)
+    points, values, notes = _read_values(file, place)
     if len(values) < 10:
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
     x_min, y_min, x_max, y_max = place.area.bounds
     is_within = (points >= [x_min, y_min]) & (points <= [x_max, y_max])
-    notes = []
     if not is_within.all(axis=1).any():
         notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
+    width, covered = max(x_max - x_min, y_max - y_min), float(np.ptp(points, axis=0).max())
+    if covered < SMALL * width:
+        notes.append(
+            f"{file}: all values lie within {covered:.3g} m, and the area is {width:.4g} m wide; "
+            "check the unit of their positions."
+        )
     if doubt := unit_doubt(values):
         notes.append(f"{file}: {doubt}.")
     chosen = np.random.default_rng(0).permutation(len(values))[:MOST_SEEN]
@@ -107,6 +116,8 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     if scale <= 1e-12 * np.abs(values).max() or scale == 0.0:
         raise ValueError(f"{file}: all values are {values[0]:g}; allowed: values that differ")
     extent = float(np.ptp(points, axis=0).max())
+    if extent <= 1e-9 * max(x_max - x_min, y_max - y_min):
+        raise ValueError(f"{file}: all values lie at one place; allowed: places that differ")
     gp = GaussianProcess.fit(
         Scaled(Matern52(jnp.asarray(lengthscale or extent / 10.0)), jnp.asarray(1.0)),
         jnp.asarray(NOISE**2),
@@ -127,21 +138,28 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     return FieldModel(lengthscale or found, std, noise, source, mean, seen, tuple(notes))
 
 
-def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray]:
-    """Points `[N, 2]` in metres of the place and values `[N]` of an earlier survey."""
+def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Points `[N, 2]` in metres of the place and values `[N]` of an earlier survey, and notes on them."""
+    path, notes = split_choice(file)[0], list[str]()
     try:
-        if Path(file).suffix.lower() in (".csv", ".txt", ".xyz"):
-            rows, names = read_points(file)
+        if Path(path).suffix.lower() in (".csv", ".txt", ".xyz"):
+            read = read_points(file)
             # Columns without the name of a longitude are in the coordinates of the area.
-            crs = DEGREES if names and names[0].startswith("lon") else place.projection.crs
-            points, values = rows[:, :2], rows[:, 2]
+            crs = read.crs or place.projection.crs
+            if crs == DEGREES:
+                read.check_degrees()
+            if read.left_out:
+                number = len(read.rows) + read.left_out
+                notes.append(f"{file}: {read.left_out} of {number} rows have no data and are left out.")
+            points, values = read.rows[:, :2], read.rows[:, 2]
         else:
             raster = read_raster(file, MOST_CELLS)
             x, y = np.meshgrid(raster.x, raster.y)
             has_data = ~raster.is_hole
             points, values = np.stack([x[has_data], y[has_data]], axis=1), raster.values[has_data]
             crs = raster.crs
-        return place.projection.from_other(points, crs), values
+            notes += (f"{file}: {note}" for note in raster.notes)
+        return place.projection.from_other(points, crs), values, notes
     except ValueError as error:
         message = str(error)
-        raise ValueError(message if message.startswith(file) else f"{file}: {message}") from error
+        raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error

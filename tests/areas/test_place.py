@@ -168,3 +168,18 @@ def test_a_point_outside_is_refused(tmp_path):
         ValueError, match=r"--start: got 10\.01,54\.005, which is not in the area; allowed: .*x from 10 to"
     ):
         place.point((10.01, 54.005), "--start")
+
+
+def test_a_raster_without_positions_is_named_and_a_band_is_chosen(tmp_path):
+    np.savez(tmp_path / "a.npz", z=np.ones((4, 6)), extent=[0, 0, 600, 400])
+    (note,) = read_place(str(tmp_path / "a.npz")).notes
+    assert note.endswith("cells are taken to be 1 m wide.")
+    rasterio = pytest.importorskip("rasterio")
+    transform = rasterio.transform.from_origin(500_000.0, 5_000_020.0, 10.0, 10.0)
+    settings = {"height": 4, "width": 6, "count": 2, "dtype": "float32", "crs": "EPSG:32633"}
+    path = str(tmp_path / "a.tif")
+    with rasterio.open(path, "w", driver="GTiff", transform=transform, **settings) as file:
+        for band in (1, 2):
+            file.write(np.where(np.arange(6) < 3 * band, np.ones((4, 6)), np.nan).astype("float32"), band)
+    low, high = (read_place(f"{path}::{band}").size for band in (1, 2))
+    assert high == pytest.approx(2.0 * low, rel=0.05)

@@ -1,10 +1,12 @@
 """Readers of rasters and points: orientation, holes, projections, and files that are refused."""
 
+import hashlib
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.fields.data import read_array, read_points
+from bojax.fields.data import read_array, read_points, sha256_of_files
 from bojax.fields.measured import GridField
 from bojax.fields.projection import Projection
 from bojax.fields.raster import DEGREES
@@ -107,8 +109,112 @@ def test_xyz_cells_in_any_order(tmp_path):
     ],
 )
 def test_points_with_any_delimiter_and_named_columns(tmp_path, text):
-    rows, _ = read_points(written(tmp_path, "a.csv", text))
-    np.testing.assert_array_equal(rows, [[1.0, 2.0, 3.5]])
+    points = read_points(written(tmp_path, "a.csv", text))
+    np.testing.assert_array_equal(points.rows, [[1.0, 2.0, 3.5]])
+
+
+SAMPLES = """time,station,x,y,Temp,salinity,ns
+2024-05-01T10:00:00Z,S0,1,2,0.5,3.5,1.7e18
+2024-05-01T10:00:01Z,,4,5,,30,1.7e18
+2024-05-01T10:00:02Z,S2,7,8,0.7,-9999,1.7e18
+"""
+
+
+def test_a_column_of_values_is_chosen_by_its_name(tmp_path):
+    path = written(tmp_path, "a.csv", SAMPLES)
+    for name, values in (("salinity", [[1, 2, 3.5], [4, 5, 30]]), ("TEMP", [[1, 2, 0.5], [7, 8, 0.7]])):
+        points = read_points(f"{path}:{name}")
+        np.testing.assert_array_equal(points.rows, values)
+        assert points.names == ["x", "y", name.lower()] and points.left_out == 1
+    for name, message in (
+        ("", "a.csv: holds several columns of values; allowed: .*a.csv:NAME with one of temp, salinity, ns$"),
+        (":depth", "a.csv: got column depth; allowed: temp, salinity, ns$"),
+        (":station", "a.csv: got column station; allowed: temp, salinity, ns$"),
+        (":x", "a.csv: got column x; allowed: temp, salinity, ns$"),
+    ):
+        with one_line(ValueError, message):
+            read_points(path + name)
+    settings = Scattered(file=f"{path}:salinity")
+    assert settings.extent == (1.0, 2.0, 4.0, 5.0)
+    assert settings.sha256 == hashlib.sha256(SAMPLES.encode()).hexdigest() == sha256_of_files(path)
+
+
+def test_columns_of_text_are_ignored_unless_a_row_would_be(tmp_path):
+    path = written(tmp_path, "a.csv", "station x y time depth\nS1 1 2 10:30 3\nNA 4 5 10:31 6\n")
+    np.testing.assert_array_equal(read_points(path).rows, [[1, 2, 3], [4, 5, 6]])
+    for text, message in (
+        ("S1,1,2,3\nS2,4,5,6\n", "a.csv: columns of text have no names; allowed: a first line with names"),
+        ("x,y,depth\n1,2,3\n4,5,6m\n", "a.csv: could not convert string '6m'"),
+        ("x,y\n1,2\n", "a.csv: has no column of values beside x and y"),
+        ("a,b,c,d\n1,2,3,4\n", "a.csv: got columns a, b, c, d; allowed: a column x or lon or"),
+    ):
+        with one_line(ValueError, message):
+            read_points(written(tmp_path, "a.csv", text))
+    with one_line(ValueError, "a.csv: got column z, but the columns have no names"):
+        read_points(written(tmp_path, "a.csv", "1,2,3\n") + ":z")
+    with one_line(ValueError, "could not convert"):  # a grid has no columns to ignore
+        read_raster(written(tmp_path, "a.csv", "a,b,c\n1,2,land\n3,4,land\n"))
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [("10,95,1", "column lat: got 95; allowed: latitudes"), ("400,5,1", "column lon: got 400; allowed: lon")],
+)
+def test_degrees_out_of_range_are_refused(tmp_path, row, message):
+    with one_line(ValueError, f"a.csv: {message}"):
+        read_points(written(tmp_path, "a.csv", f"lon,lat,z\n10,54,1\n{row}\n"))
+
+
+def write_netcdf(path, **variables):
+    """A file of variables of values by time, latitude and longitude."""
+    from scipy.io import netcdf_file
+
+    with netcdf_file(path, "w") as file:
+        for name, positions in (
+            ("time", [0.0, 1.0, 2.0]),
+            ("lat", [54.0, 54.5]),
+            ("lon", [10.0, 10.5, 11.0]),
+        ):
+            file.createDimension(name, len(positions))
+            file.createVariable(name, "d", (name,))[:] = positions
+        for name, values in variables.items():
+            file.createVariable(name, "f", ("time", "lat", "lon"))[:] = values
+    return str(path)
+
+
+def test_a_band_is_chosen_by_its_number(tmp_path):
+    pytest.importorskip("rasterio")
+    full = np.nan_to_num(VALUES, nan=5.0)
+    slices = np.stack([full, full + 10.0, full + 20.0])
+    one = write_netcdf(tmp_path / "one.nc", sst=slices)
+    two = write_netcdf(tmp_path / "two.nc", sst=slices, salt=-slices)
+    tif = write_tif(tmp_path / "a.tif", full, count=3)
+    for file, expected in (
+        (f"{one}::2", full + 10.0),
+        (f"{one}:sst:3", full + 20.0),
+        (f"{two}:salt:1", -full),
+        (f"{tif}::3", full),
+    ):
+        np.testing.assert_array_equal(read_raster(file).values, expected)
+    for file, message in (
+        (one, "one.nc: has 3 bands; allowed: .*one.nc::BAND with one of 1 to 3$"),
+        (f"{two}:salt", "two.nc: has 3 bands; allowed: .*two.nc:salt:BAND with one of 1 to 3$"),
+        (f"{two}:salt:4", "two.nc: got band 4; allowed: 1 to 3$"),
+        (two, "two.nc: holds several variables; allowed: .*two.nc:NAME with one of sst, salt$"),
+        (f"{two}:foo", "two.nc: got variable foo; allowed: sst, salt$"),
+        (f"{one}:foo:2", "one.nc: got variable foo; allowed: sst$"),
+        (f"{tif}:2", "a.tif: got 2; allowed: .*a.tif::BAND$"),
+        (f"{tmp_path / 'no.nc'}:sst", "no.nc: No such file or directory$"),
+    ):
+        with one_line(ValueError, message):
+            read_raster(file)
+
+
+def test_a_raster_without_positions_is_named(tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((2, 3)))
+    np.savez(tmp_path / "a.npz", z=np.ones((2, 3)), extent=[0, 0, 600, 400])
+    np.savez(tmp_path / "b.npz", z=np.ones((2, 3)), x=[0.0, 5.0, 10.0], y=[0.0, 5.0])
+    assert [len(read_raster(str(tmp_path / name)).notes) for name in ("a.npy", "a.npz", "b.npz")] == [1, 1, 0]
 
 
 def test_degrees_become_metres(tmp_path):
@@ -184,8 +290,6 @@ def test_files_that_are_refused_in_one_line(tmp_path, name, text, message):
 
 
 def test_rasters_that_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="has 3 bands; allowed: one"):
-        read_raster(write_tif(tmp_path / "a.tif", count=3))
     with pytest.raises(ValueError, match=r"no\.tif: No such file"):
         read_raster(str(tmp_path / "no.tif"))
     np.savez(tmp_path / "two.npz", a=np.ones((2, 2)), b=np.ones((2, 2)))

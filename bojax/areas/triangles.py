@@ -1,0 +1,76 @@
+"""Ways along the edges of triangles that a shape is divided into."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from bojax.areas.shapes import shapely_module
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+NEAR = 3.0  # lengths of the straight line within which a way is looked for first
+
+
+class Triangles:
+    """The constrained Delaunay triangulation of a shape, whose edges join all corners of each part of it.
+
+    The number of edges is in proportion to that of the corners, unlike in a visibility graph.
+    """
+
+    def __init__(self, shape: "BaseGeometry"):
+        """Divide a shape."""
+        shapely = shapely_module()
+        triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
+        self._tree = shapely.STRtree(triangles)
+        points = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+        self._corners, index = np.unique(points.reshape(-1, 2), axis=0, return_inverse=True)
+        self._triangles = index.reshape(-1, 3)  # of corners
+        first, last = self._triangles.ravel(), np.roll(self._triangles, -1, axis=1).ravel()
+        both = np.stack([np.append(first, last), np.append(last, first)], axis=1)
+        self._edges = np.unique(both, axis=0).T  # the first and the last corner of each, in both directions
+        self._lengths = _lengths(self._corners, self._edges)
+
+    def way(self, first: np.ndarray, last: np.ndarray, tolerance: float) -> np.ndarray | None:
+        """Waypoints `[W, 2]` of the shortest way along edges between two points, or None if there is none.
+
+        Args:
+            first: The first point, which is joined to the corners of its triangle.
+            last: The last point, likewise.
+            tolerance: Distance up to which a point belongs to a triangle.
+        """
+        number = len(self._corners)
+        points = np.concatenate([self._corners, [first, last]])
+        near_first, near_last = self._around(first, tolerance), self._around(last, tolerance)
+        begin = np.concatenate([np.full(len(near_first), number), near_last])
+        end = np.concatenate([near_first, np.full(len(near_last), number + 1)])
+        lengths = np.concatenate([self._lengths, _lengths(points, np.stack([begin, end]))])
+        edges = np.concatenate([self._edges, [begin, end]], axis=1)
+        graph = csr_array((lengths, edges), shape=(number + 2, number + 2))
+        for limit in (NEAR * float(np.linalg.norm(last - first)), np.inf):
+            distance, before = dijkstra(graph, indices=number, limit=limit, return_predecessors=True)
+            if np.isfinite(distance[number + 1]):
+                return points[nodes_to(number + 1, before)]
+        return None
+
+    def _around(self, point: np.ndarray, tolerance: float) -> np.ndarray:
+        """Indices of the corners of the triangles that a point is in."""
+        found = self._tree.query(shapely_module().Point(point), predicate="dwithin", distance=tolerance)
+        return np.unique(self._triangles[found])
+
+
+def _lengths(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Lengths of edges `[2, E]`, above zero, as an edge of no length would count as none."""
+    first, last = points[edges]
+    return np.maximum(np.linalg.norm(last - first, axis=1), 1e-300)
+
+
+def nodes_to(node: int, before: np.ndarray) -> list[int]:
+    """Nodes of a path in a graph up to a node, given the node before each."""
+    nodes = []
+    while node >= 0:
+        nodes.append(node)
+        node = int(before[node])
+    return nodes[::-1]
