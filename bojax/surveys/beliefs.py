@@ -9,11 +9,15 @@ from bojax.models.kernels import Matern52, Scaled
 from bojax.models.sparse import sparse_posterior, spread_inducing
 
 LEAST_CAPACITY = 64
-"""Measurements that the first belief has room for; each further one, compiled anew, has twice as many."""
+"""Measurements that every belief has room for; a larger one, compiled anew, has twice as many."""
 
 
 def belief_from(
-    hyperparameters: tuple[float, float, float], points: np.ndarray, values: np.ndarray, most: int
+    hyperparameters: tuple[float, float, float],
+    points: np.ndarray,
+    values: np.ndarray,
+    most: int,
+    expected: int = 0,
 ) -> GaussianProcess:
     """The belief from measurements at points `[N, 2]`.
 
@@ -24,9 +28,10 @@ def belief_from(
         points: Positions, m.
         values: Standardised values `[N]`.
         most: Measurements up to which the belief is exact; of more, it is summarised at as many points.
+        expected: Measurements for which it has room from the first on.
     """
     number = len(values)
-    size = _power_of_two(number)
+    size = _power_of_two(max(number, expected))
     with jax.enable_x64(True):
         x, y = np.zeros((size, 2)), np.zeros(size)
         x[:number], y[:number] = points, values

@@ -14,14 +14,14 @@ import numpy as np
 
 from bojax.areas.area import Area, check_inside
 from bojax.config.extras import MissingExtra
-from bojax.fields.raster import LARGEST
+from bojax.fields.raster import LARGEST, NO_DATA
 from bojax.fields.scale import unit_doubt
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.results.store import write_arrays
 from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
-from bojax.surveys.lawnmower import too_small
+from bojax.surveys.lawnmower import Ground, too_small
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
@@ -90,15 +90,16 @@ class Mission:
 
     The belief is a Gaussian process of the standardised values with a Matern 5/2 kernel. Numbers are in
     float64, whatever the settings of JAX. Once its programs are compiled, a plan compiles nothing until the
-    measurements outgrow the capacity, which doubles then.
+    measurements outgrow the capacity, which doubles then. That of one robot is enough from the first on for a
+    measurement at every `spacing` of the budget, up to 256.
 
     Attributes:
         area: Area to survey.
         robots: Position, distance left, end and last plan of each robot.
         separation: Least distance of two robots, m.
-        counts: How often input was left out, by reason: `not_finite`, `too_large` (a value that
-            files have for missing data, beyond 1e30 in magnitude), `far_off` (a position), `duplicate`,
-            `bad_pose`; and `time_backwards`, for measurements that are kept.
+        counts: How often input was left out, by reason: `not_finite` or masked, `too_large` (beyond 1e30 in
+            magnitude) and `no_data` (such as -9999), values that stand for missing data, `far_off` (a
+            position), `duplicate`, `bad_pose`; and `time_backwards`, for measurements that are kept.
         hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
         goal: What the survey is for.
     """
@@ -146,6 +147,8 @@ class Mission:
             ValueError: A number is out of range, the start or the end is not a position in the area, the
                 budget does not reach from the start to the end, or the goal is not known.
         """
+        if not isinstance(area, Area):
+            raise ValueError(f"area: got {area!r:.60}; allowed: an Area, such as bojax.read_place(FILE).area")
         if robots not in range(1, MOST_ROBOTS + 1):
             raise ValueError(f"robots: got {robots}; allowed: 1 to {MOST_ROBOTS}")
         if not (np.isfinite(separation) and separation >= 0):
@@ -165,6 +168,8 @@ class Mission:
             _above_zero("relearn_every", relearn_every)
         self.relearn_every = relearn_every
         self.goal = goal_of(goal)
+        # Plans of a team take too long with room for all that it will measure.
+        self._expected = int(min(MOST_EXACT, budget / self.spacing)) if robots == 1 else 0
         self._check_ways()
         if robots == 1 and separation > 0:
             warnings.warn(f"separation: got {separation:g} m, which one robot does not use", stacklevel=2)
@@ -180,7 +185,7 @@ class Mission:
         self._x, self._y = NOTHING, np.zeros(0)
         self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
         self._shift, self._scale = 0.0, 1.0
-        self._learned_at, self._plans = 0, 0
+        self._learned_at, self._plans, self._expected = 0, 0, 0
         self._is_doubted = False  # the unit of the values, by a warning
 
     def _check_ways(self) -> None:
@@ -272,14 +277,19 @@ class Mission:
         return route if leg.is_outside else route[1:]
 
     def _way(self, entry: Waypoints, end: Waypoints | None) -> Waypoints:
-        """The shortest way in the area to an end; a straight one if there is none, or no end."""
-        straight = np.stack([entry, entry if end is None else end])
-        if stays_inside(straight, self.area):
-            return straight
+        """The shortest way in the area to an end; of no length without one.
+
+        Without shapely, it is a straight one, which may leave the area.
+
+        Raises:
+            ValueError: No path in the area joins them.
+        """
+        if end is None:
+            return np.stack([entry, entry])
         try:
-            return part_around(self.area, entry)[1].path(*straight)
-        except ValueError:
-            return straight
+            return Ground.of(self.area, entry).transfers.path(entry, end)
+        except MissingExtra:
+            return np.stack([entry, end])
 
     def _descended(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
         """Routes of least expected error at the places that count, beside those of returning robots."""
@@ -356,7 +366,7 @@ class Mission:
 
         Args:
             points: Positions of any number of measurements, in the order of driving, `[S, 2]`, m.
-            values: Measured values `[S]`; NaN for no data.
+            values: Measured values `[S]`; NaN, a mask of NumPy or a marker as in files for no data.
             pose: Position of the robot (further numbers, as a heading, are ignored); by default, the last
                 measurement.
             times: Times of the measurements, only to count those that run backwards.
@@ -375,7 +385,7 @@ class Mission:
             raise ValueError(f"robot: got {robot}; allowed: 0 to {len(self.robots) - 1}")
         its = self.robots[robot]
         points = _rows("points", points)
-        values = np.asarray(values, float).reshape(-1)
+        values = np.ma.filled(np.ma.asarray(values, float), np.nan).reshape(-1)
         if len(points) != len(values):
             raise ValueError(f"values: got {len(values)}; allowed: {len(points)}, one for each point")
         if times is not None:
@@ -393,6 +403,7 @@ class Mission:
             reason = (
                 "not_finite" if not is_finite[index]
                 else "too_large" if abs(values[index]) > LARGEST
+                else "no_data" if values[index] in NO_DATA
                 else "far_off" if is_far[index]
                 else "duplicate" if row in self._held
                 else ""
@@ -441,8 +452,9 @@ class Mission:
         return self._belief(MOST_EXACT)
 
     def _belief(self, most: int) -> GaussianProcess:
-        """The belief, exact up to a number of measurements."""
-        return belief_from(self.hyperparameters, self._x, (self._y - self._shift) / self._scale, most)
+        """The belief, exact up to a number of measurements, with room for all that the budget allows."""
+        values = (self._y - self._shift) / self._scale
+        return belief_from(self.hyperparameters, self._x, values, most, self._expected)
 
     def _learned_from(self) -> GaussianProcess:
         """The exact belief from a random part of the measurements, if there are many."""
@@ -577,7 +589,7 @@ class Mission:
         )
         try:
             return {**lawnmower_guesses(
-                self.posterior(), self.area, self.goal.region, demand, self.spacing, self.options.restarts
+                self.posterior(), self.area, self.goal.region, demand, self.spacing, self._options.restarts
             )}  # fmt: skip
         except (MissingExtra, ValueError):  # without shapely, or a budget for them
             return {}
@@ -585,7 +597,7 @@ class Mission:
 
 _PLAIN = (
     "spacing", "relearn_every", "seed", "separation", "hyperparameters", "_medians", "_shift", "_scale",
-    "_learned_at", "_plans",
+    "_learned_at", "_plans", "_expected",
 )  # fmt: skip
 """Attributes of a mission that are saved as JSON."""
 

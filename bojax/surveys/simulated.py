@@ -87,16 +87,21 @@ def _write_robot(
     origin = "what the earlier survey expects" if model.seen is not None else "a draw from the model"
     of = f" by robot {robot + 1} of {demand.robots} alone" if demand.robots > 1 else ""
     title = f"Simulated survey of {Path(place.name).name}{of}, on {origin}"
-    planners = _planners(waypoints, mower, path, model.std)
+    # A config names files from wherever it is run: by their whole paths.
+    planners = _planners(waypoints.resolve(), mower.resolve(), path, model.std)
     loss = -PATH_SAMPLES * model.std
     content: dict[str, Any] = {
         "title": title,
         "problem": {
             "kind": "monitoring",
-            "field": {"kind": "grid", "file": str(folder / FIELD), "extent": list(bounds)},
+            "field": {"kind": "grid", "file": str(folder.resolve() / FIELD), "extent": list(bounds)},
             "domain": list(bounds),
             "margin": ROUNDING * max(bounds[2] - bounds[0], bounds[3] - bounds[1]),
-            "area": {"kind": "outline", "file": str(folder / AREA), "checks": _checks(bounds, path)},
+            "area": {
+                "kind": "outline",
+                "file": str(folder.resolve() / AREA),
+                "checks": _checks(bounds, path),
+            },
             "start": [*route[0].tolist(), heading],
             **({} if end is None else {"end": end.tolist()}),
             "objective": "uncertainty",

@@ -213,9 +213,11 @@ def test_mistakes_are_one_line_and_write_nothing(here, refusal):
 def test_an_earlier_survey_must_vary(here, refusal):
     (here / "flat.csv").write_text("x,y,z\n" + "\n".join(f"{i},{i % 7},3" for i in range(30)))
     (here / "few.csv").write_text("x,y,z\n1,2,3\n")
+    (here / "place.csv").write_text("x,y,z\n" + "\n".join(f"50,60,{i % 7}" for i in range(30)))
     for file, message in (
         ("flat.csv", "all values are 3"),
         ("few.csv", "got 1 values; allowed: at least 10"),
+        ("place.csv", "all values lie at one place"),
     ):
         assert refusal(f"survey 100x100 --prior {file}").startswith(f"{file}: {message}")
 

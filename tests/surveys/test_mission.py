@@ -63,6 +63,23 @@ def test_a_second_plan_compiles_nothing():
     assert COMPILATION not in events
 
 
+def test_the_first_belief_has_room_for_the_measurements_of_the_budget(tmp_path):
+    survey = mission(budget=40.0)  # 133 measurements
+    assert survey.posterior().y.shape == (256,)
+    survey.save(tmp_path / "mission.npz")
+    assert Mission.load(tmp_path / "mission.npz").posterior().y.shape == (256,)
+    assert mission(budget=400.0).posterior().y.shape == (256,)
+
+
+def test_a_plan_from_many_measurements_has_as_many_guesses_as_the_program(monkeypatch):
+    survey, given = mission(budget=4000.0), []
+    points = np.random.default_rng(0).uniform(0.0, 6.0, (300, 2))
+    survey.observe(points, field(points), [1.0, 1.0])
+    monkeypatch.setattr("bojax.surveys.mission.lawnmower_guesses", lambda *args: given.append(args[-1]) or {})
+    survey.plan()
+    assert given == [QUICK.restarts // 2]
+
+
 def test_what_cannot_be_used_is_counted():
     survey = mission()
     points = [[1, 1], [1.1, 1], [1.2, 1], [1.2, 1], [900, 1], [np.nan, 1], [1.3, 1]]
@@ -99,6 +116,10 @@ def test_a_value_that_stands_for_missing_data_is_counted():
     survey = mission()
     assert survey.observe([[1.1, 1.0], [1.2, 1.0], [1.3, 1.0]], [-3.4e38, 1e25, 9.97e36]) == 1
     assert survey.counts["too_large"] == 2
+    survey = mission()
+    points, values = [[1.4, 1.0], [1.5, 1.0], [1.6, 1.0]], np.ma.masked_equal([7.0, 2.0, -9999.0], 7.0)
+    assert survey.observe(points, values) == 1
+    assert (survey.counts["not_finite"], survey.counts["no_data"]) == (1, 1)
 
 
 @pytest.mark.parametrize(
@@ -197,6 +218,10 @@ def test_a_damaged_file_is_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (
+            {"area": "square.geojson"},
+            "area: got 'square.geojson'; allowed: an Area, such as bojax.read_place",
+        ),
         ({"budget": -1.0}, "budget: got -1.0; allowed: a number > 0, m"),
         ({"budget": [50, 60]}, r"budget: got \[50, 60\]; allowed: a number > 0, m"),
         ({"budget": "1km"}, "budget: got 1km; allowed: a number > 0, m"),
