@@ -167,7 +167,7 @@ def _parser(name: str) -> Parser:
     robots = "robots that survey at once, 1 to 4; --start and --end are for all, or repeated for each"
     parser.option("--robots", "N", robots, integer, default=1, choices=range(1, 5))
     apart = "least distance of two robots at equal times, but for 2 M metres at a common start or end"
-    parser.option("--separation", "M", apart, _positive, default=0.0)
+    parser.option("--separation", "M", apart, _length, default=0.0)
     avoid = "no-go zones: polygons, or a raster with data in them; may be repeated"
     parser.option("--avoid", "FILE", avoid, action="append", default=[])
     parser.option("--below", "V", "of a raster, only cells with values below V: 0 for the sea", _number)
@@ -176,11 +176,11 @@ def _parser(name: str) -> Parser:
     goal = "places that count: all, the highest tenth, those near a value, or a region (default: map)"
     parser.option("--goal", "GOAL", goal, _goal_words, default=("map", ""))
     scale = "distance over which values are alike, m (default: learned, or a tenth of AREA's root)"
-    parser.option("--lengthscale", "M", scale, _positive)
+    parser.option("--lengthscale", "M", scale, _length)
     lines = "least distance between two lines, m (default without a budget: the lengthscale)"
-    parser.option("--spacing", "M", lines, _positive)
+    parser.option("--spacing", "M", lines, _length)
     sampling = "distance between two measurements, m (default: a fifth of the lengthscale)"
-    parser.option("--sampling", "M", sampling, _positive)
+    parser.option("--sampling", "M", sampling, _length)
     parser.flag("--lawnmower", "compare lawnmowers only, and optimise no route")
     parser.option("--out", "DIR", "new or empty folder (default: results/survey/TIME)", path)
     return parser
@@ -198,7 +198,7 @@ def _number(text: str) -> float:
 
 def _positive(text: str) -> float:
     if not 0 < (value := _number(text)) < 1e9:
-        raise argparse.ArgumentTypeError(f"got {text}; allowed: a number > 0")
+        raise argparse.ArgumentTypeError(f"got {text}; allowed: a number > 0 and < 1e9")
     return value
 
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 DIRECTIONS = 8
 """Number of directions of the lines that are tried."""
 
+MOST_LINES = 10_000
+"""Lines of a direction up to which a spacing is not taken for a mistake."""
+
 
 @dataclass(frozen=True, eq=False)
 class Ground:
@@ -87,7 +90,7 @@ def lawnmower(
         Waypoints `[W, 2]`, m.
 
     Raises:
-        ValueError: The spacing is not positive, or an end is not in the area.
+        ValueError: The spacing is not positive, or for too many lines, or an end is not in the area.
     """
     if not spacing > 0 or not math.isfinite(spacing):
         raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
@@ -130,6 +133,8 @@ def lawnmowers_within(
     check_budget(ground, budget, start, end)
     # Lines of this distance are as long as the budget, but for the way between them.
     typical = ground.size / budget
+    x_min, y_min, x_max, y_max = ground.shape.bounds
+    spacing = max(spacing, 1.01 * math.hypot(x_max - x_min, y_max - y_min) / MOST_LINES)
     powers = [typical * 1.06**power for power in range(-8, 28)]
     denser = None
     for distance in [spacing, *powers] if spacing > powers[0] else powers:
@@ -170,6 +175,11 @@ def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np
     corners = np.concatenate(rings)
     low, high = corners[:, 1].min(), corners[:, 1].max()
     number = max(1, math.ceil((high - low) / spacing - 1e-9))
+    if number > MOST_LINES:
+        least = (high - low) / MOST_LINES
+        raise ValueError(
+            f"spacing: got {spacing:g} m, {number:,} lines; allowed: at least {least:.3g} m here"
+        )
     heights = low + (np.arange(number) + 0.5) * (high - low) / number
     edges = edges_of(rings)
     done: list[list[np.ndarray]] = []

@@ -107,6 +107,10 @@ def test_of_several_parts_the_one_with_the_start_is_covered() -> None:
     ("make", "message"),
     [
         (lambda: lawnmower(SQUARE, 0.0), "spacing: got 0; allowed: > 0 m"),
+        (
+            lambda: lawnmower(SQUARE, 1e-4),
+            "spacing: got 0.0001 m, 100,000 lines; allowed: at least 0.001 m here",
+        ),
         (lambda: lawnmower(AREAS["hole"], 1.0, start=np.array([5.0, 5.0])), r"\(5, 5\) is not in the area"),
         (lambda: lawnmowers_within(Ground.of(SQUARE), -1.0), "budget: got -1 m; allowed: > 0 m"),
         (
