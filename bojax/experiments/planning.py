@@ -56,6 +56,10 @@ class PlanningEpisode(Experiment):
     problem: Problem
     planner: Planner
 
+    def __post_init__(self):
+        """Let the planner compute what it needs once for the problem."""
+        self.planner = self.planner.prepared(self.problem)
+
     def __check_init__(self):
         """Refuse a planner that does not fit the problem, or raise ValueError."""
         self.planner.check(self.problem)

@@ -9,6 +9,7 @@ from typing_extensions import override
 from bojax.config.component import Component, External, Slot, registry
 from bojax.learning.settings import Constant, Exploit, UntilTarget
 from bojax.motions.settings import KernelTrajectories
+from bojax.planning.routes.settings import RouteSettings
 from bojax.planning.settings import KCBTS, BeliefPlannerSettings
 from bojax.problems.pomdp.settings import StateProblemSettings
 from bojax.problems.settings import FieldProblem, Parking
@@ -59,6 +60,11 @@ class Planning(ExperimentSettings, frozen=True):
     @pydantic.model_validator(mode="after")
     def _objective_of_a_field(self) -> "Planning":
         is_known = not isinstance(self.problem, External | FieldProblem)
+        if is_known and isinstance(self.planner, RouteSettings):
+            raise ValueError(
+                f"planner: got {self.planner.label}, which follows a route on a field, and "
+                f"{self.problem.label} has no field; allowed: another planner"
+            )
         if is_known and getattr(self.planner, "objective", None) is not None:
             raise ValueError(
                 f"planner.objective: {self.planner.label} maximises an objective on a field, and "

@@ -49,6 +49,14 @@ class Planner(eqx.Module):
         """Columns of `runs.parquet` for `Plan.measured`, means over the steps of a run."""
         return ()
 
+    def prepared(self, problem: Any) -> "Planner":
+        """The planner of a problem, with what it computes once on the host; by default as it is.
+
+        Raises:
+            ValueError: It cannot be computed for this problem.
+        """
+        return self
+
     def check(self, problem: Any) -> None:
         """Refuse a problem that the planner cannot plan on, or raise ValueError."""
         if isinstance(problem, PathProblem):

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from bojax.areas.outlined import OutlinedArea, check_sampling
 from bojax.fields.base import Field
-from bojax.models.checks import check_takes
+from bojax.models.checks import check_takes, is_known
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.information import Places
@@ -23,7 +23,14 @@ from bojax.numerics.lanes import any_lane
 from bojax.problems.arena import Arena
 from bojax.problems.budgets import check_steps, distance_of
 from bojax.problems.field_belief import FieldBelief, Samples
-from bojax.problems.field_errors import DISTANCE, STEP_COLUMNS, STEP_ERRORS, Weighting, field_errors
+from bojax.problems.field_errors import (
+    DISTANCE,
+    REGION_COLUMNS,
+    STEP_COLUMNS,
+    Weighting,
+    field_errors,
+    is_within,
+)
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
 from bojax.problems.objectives import FieldObjective, JointObjective
 from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
@@ -97,6 +104,7 @@ class FieldProblem(PathProblem):
     end: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
     area: OutlinedArea | None = eqx.field(default=None, kw_only=True)
     ways: WaysToEnd | None = eqx.field(default=None, kw_only=True)
+    region: Float[Array, "4"] | None = eqx.field(default=None, kw_only=True)
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
     sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
     max_steps: int = eqx.field(static=True)
@@ -130,6 +138,10 @@ class FieldProblem(PathProblem):
                 "end: the vehicle cannot turn on the spot, and so not follow the shortest way there; allowed "
                 "with a turning radius: null"
             )
+        if self.region is not None and is_known((self.region, self.domain, self.walls, self.area)):
+            grid = self.grid()
+            if not jnp.any(is_within(self.region, grid) & self.arena.is_free(grid)):
+                raise ValueError("region: no free point of the grid of the errors lies in it")
         if self.ways is not None:
             arena = self.arena
             starts = arena.grid(STARTS) if self.start is None else self.start[None, :2]
@@ -186,7 +198,14 @@ class FieldProblem(PathProblem):
     @override
     def step_columns(self) -> Table:
         distance = (DISTANCE,) if self.measures_distance else ()
-        return super().step_columns + distance + (STEP_COLUMNS if self.errors_by_step else ())
+        return super().step_columns + distance + self._error_columns
+
+    @property
+    def _error_columns(self) -> Table:
+        """Errors of the belief after every step."""
+        if not self.errors_by_step:
+            return ()
+        return STEP_COLUMNS if self.region is None else STEP_COLUMNS + REGION_COLUMNS
 
     @override
     def row(self, world: FieldWorld) -> dict[str, Scalar]:
@@ -194,11 +213,11 @@ class FieldProblem(PathProblem):
 
     @override
     def belief_row(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        """The columns of `STEP_ERRORS`, on the grid of the final scores."""
+        """The errors after the step, on the grid of the final scores."""
         if not self.errors_by_step:
             return {}
         scores = self.field_score(world, belief)
-        return {name: scores[name] for name in STEP_ERRORS}
+        return {column.name: scores[column.name] for column in self._error_columns}
 
     @property
     def arena(self) -> Arena:
@@ -368,12 +387,14 @@ class FieldProblem(PathProblem):
         return self.arena.grid(self.resolution)
 
     def field_score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        """The columns of `FIELD_COLUMNS`."""
+        """The columns of `FIELD_COLUMNS`, and with a region those of `REGION_COLUMNS`."""
         grid, posterior = self.grid(), belief.posterior
         mean, variance = belief.predict_grid(grid, self.resolution)
         is_open = self.arena.is_free(grid)
         taken = jnp.maximum(posterior.count + posterior.num_ignored, 1).astype(mean.dtype)
-        return field_errors(self.true_field, grid, mean, variance, is_open, self.weighting) | {
+        in_region = None if self.region is None else is_within(self.region, grid)
+        errors = field_errors(self.true_field, grid, mean, variance, is_open, self.weighting, in_region)
+        return errors | {
             "collisions": world.collisions,
             "sampled_gradient": world.gradient / taken,
             "ignored_samples": posterior.num_ignored,

@@ -283,6 +283,11 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="whether steps.parquet has the distance driven and, of the belief after every step, "
         "rmse, mnll and mean_std",
     )
+    region: Box | None = Field(
+        default=None,
+        description="part of the domain, [x_min, y_min, x_max, y_max], m, whose errors steps.parquet has as "
+        "well, as rmse_region, mnll_region and mean_std_region; needs `errors_by_step`",
+    )
     relearn_every: int = Field(default=0, ge=0, description="steps between hyper-parameter updates; 0: none")
     relearn_spread: float = Field(
         default=0.5, gt=0, description="prior standard deviation of each hyper-parameter's logarithm"
@@ -297,7 +302,7 @@ class FieldProblem(ProblemSettings, frozen=True):
     )
     weighting: _Weighting = "value"
 
-    @pydantic.field_validator("domain", "target_area")
+    @pydantic.field_validator("domain", "target_area", "region")
     @classmethod
     def _proper_box(cls, box: Any) -> Any:
         return box if box is None else proper_box(box)
@@ -306,6 +311,12 @@ class FieldProblem(ProblemSettings, frozen=True):
     @classmethod
     def _proper_walls(cls, walls: Any) -> Any:
         return walls if walls is None else tuple(map(proper_box, walls))
+
+    @pydantic.model_validator(mode="after")
+    def _errors_of_region(self) -> "FieldProblem":
+        if self.region is not None and not self.errors_by_step:
+            raise ValueError("region: needs errors_by_step: true")
+        return self
 
     @pydantic.model_validator(mode="after")
     def _can_relearn(self) -> "FieldProblem":

@@ -9,6 +9,7 @@ import pytest
 
 from bojax.cli.main import main
 from bojax.motions.base import place
+from bojax.problems.settings import Monitoring
 from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
 from tests.problems.test_monitoring import SIZE, WALLED, drives
 
@@ -100,3 +101,32 @@ def test_a_run_ends_with_its_budget_and_its_steps_have_the_errors(tmp_path):
         assert steps["done"][own[-1]] and 2.3 <= distance[-1] <= 3.3 + 1e-9
         assert steps["rmse"][own[-1]] == rmse
     assert (out / "figures" / "errors-by-distance.svg").exists()
+
+
+def test_errors_in_a_region_are_those_of_plain_numpy():
+    region = (0.5, 0.4, 1.6, 2.0)  # over a wall, whose points do not count
+    problem = monitoring(errors_by_step=True, region=f64(region))
+    whole = monitoring(errors_by_step=True)
+    belief, world = field_belief(problem, (0.5, 1.2, 0.5), 9), problem.reset(jax.random.key(0))
+    row = problem.belief_row(world, belief)
+    assert [column.name for column in problem.step_columns][-6:] == list(row)
+    points = np.asarray(problem.grid())
+    mean, variance = (np.asarray(each) for each in belief.posterior.predict(f64(points)))
+    truth = np.asarray(problem.true_field.values(f64(points)))
+    x, y = points.T
+    counts = (x >= region[0]) & (x <= region[2]) & (y >= region[1]) & (y <= region[3])
+    for x_min, y_min, x_max, y_max in np.asarray(problem.walls):
+        counts &= ~((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
+    error, variance = (mean - truth)[counts], variance[counts]
+    nll = 0.5 * np.log(2.0 * np.pi * variance) + error**2 / (2.0 * variance)
+    expected = {"rmse": np.sqrt(np.mean(error**2)), "mnll": nll.mean(), "mean_std": np.sqrt(variance).mean()}
+    for name, value in expected.items():
+        np.testing.assert_allclose(row[f"{name}_region"], value, rtol=1e-9)
+    assert {name: row[name] for name in expected} == whole.belief_row(world, belief)
+
+
+def test_a_region_needs_errors_by_step_and_points_of_the_grid():
+    with pytest.raises(ValueError, match="region: no free point of the grid"):
+        monitoring(errors_by_step=True, region=f64((0.01, 0.01, 0.02, 0.02)))
+    with pytest.raises(ValueError, match="region: needs errors_by_step"):
+        Monitoring(region=(0.0, 0.0, 1.0, 1.0))

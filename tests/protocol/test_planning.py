@@ -5,7 +5,7 @@ import pytest
 from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.experiments.settings import Planning
-from bojax.planning.routes.settings import Route
+from bojax.planning.routes.settings import RouteSettings
 from bojax.planning.settings import BeliefPlannerSettings
 from bojax.problems.pomdp.settings import StateProblemSettings
 from tests.parts import tiny
@@ -26,7 +26,7 @@ def test_a_planner_plans(kind, check):
         pytest.skip("it predicts no value; run in tests/experiments/test_belief_planning.py")
     schema = tiny("planner", kind)
     # A planner with an objective of its own needs a field, as does one that counts its steps.
-    needs_field = getattr(schema, "objective", None) is not None or isinstance(schema, Route)
+    needs_field = getattr(schema, "objective", None) is not None or isinstance(schema, RouteSettings)
     problem = "space-modelling" if needs_field else "parking"
     if isinstance(schema, BeliefPlannerSettings):
         problem = "light-dark"

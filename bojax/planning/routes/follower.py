@@ -59,11 +59,17 @@ class RouteFollower(Planner):
     def plan(self, key: Key[Array, ""], problem: FieldProblem, belief: FieldBelief) -> Plan:
         step = self.length / self.size
         number = belief.step * self.size + jnp.arange(1, self.size + 1, dtype=jnp.int32)
-        points, _ = points_along(self.waypoints, step * number.astype(step.dtype), step)
+        points = self.points(belief, step * number.astype(step.dtype), step)
         path = _seen_from(belief.pose, points)
         root, node = problem.root(belief, 1)
         reward = problem.simulate(key, root, node, path[None], None).rewards[0]
         return Plan(action=path, reward=reward, value=reward, visits=jnp.ones((), jnp.int32))
+
+    def points(
+        self, belief: FieldBelief, distances: Float[Array, "S"], step: Float[Array, ""]
+    ) -> Float[Array, "S 2"]:
+        """Points at distances from the start of the route, m, about `step` apart."""
+        return points_along(self.waypoints, distances, step)[0]
 
 
 def _seen_from(pose: Float[Array, "3"], points: Float[Array, "S 2"]) -> Float[Array, "S 3"]:
