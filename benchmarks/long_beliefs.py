@@ -61,7 +61,7 @@ def methods(x, y, grid):
             return np.asarray(mean), np.sqrt(np.asarray(variance))
 
     def neighbours(number):
-        chosen = KDTree(x).query(grid, number)[1]
+        chosen = np.asarray(KDTree(x).query(grid, number)[1])
         parts = [near(x[each], y[each], point[None]) for each, point in zip(chosen, grid, strict=True)]
         return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
