@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from bojax.cli.launching import (
     INLINE,
@@ -87,7 +88,7 @@ def main(name: str, words: Sequence[str]) -> int:
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
     for sweep in sweeps:
-        _note_success(sweep)
+        _note_doubts(sweep)
     if args.dry_run:
         from bojax.results.folder import dated_folder  # imports pyarrow
 
@@ -98,16 +99,24 @@ def main(name: str, words: Sequence[str]) -> int:
     return run(sweeps, folders, args.resume, command, launching=args, has_baseline=name == "run")
 
 
-def _note_success(sweep: Sweep) -> None:
-    """Say on standard error that no run of a point can succeed, if it is to end at its first success."""
+def _note_doubts(sweep: Sweep) -> None:
+    """Say on standard error what the first doubtful point is hardly meant to do."""
     for point in sweep.points:
-        env = getattr(point.config, "env", None)
-        if getattr(point.config, "stop", "") == "first-success" and getattr(env, "success", "") == "never":
-            key = 'env.success: got "never"'
-            print(
-                f"note: {key}: no run ends before its last episode, or counts as a success", file=sys.stderr
-            )
+        if doubt := _doubt(point.config):
+            print(f"note: {doubt}", file=sys.stderr)
             return
+
+
+def _doubt(config: Any) -> str:
+    """What a user would want to know of a point before it runs, or nothing."""
+    env, problem, planner = (getattr(config, part, None) for part in ("env", "problem", "planner"))
+    if getattr(config, "stop", "") == "first-success" and getattr(env, "success", "") == "never":
+        return 'env.success: got "never": no run ends before its last episode, or counts as a success'
+    paths, domain = getattr(planner, "motions", planner), getattr(problem, "domain", None)
+    length, name = getattr(paths, "length", 0.0), "length" if paths is planner else "motions.length"
+    if domain is not None and length > (side := max(domain[2] - domain[0], domain[3] - domain[1])):
+        return f"planner.{name}: got {length:g} m: paths are longer than the domain, {side:g} m, and leave it"
+    return ""
 
 
 def _folders(out: Path, names: Sequence[str]) -> list[Path]:

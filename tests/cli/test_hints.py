@@ -103,3 +103,20 @@ def test_a_file_that_hides_a_shipped_one_is_mentioned(monkeypatch, write, capsys
         err = capsys.readouterr().err
         assert err.startswith(f"note: {folder}/two-pits.yaml hides ") is is_mentioned
         assert err.count("\n") == is_mentioned
+
+
+@pytest.mark.parametrize(
+    ("words", "note"),
+    [
+        (
+            ["planner.motions.length=7"],
+            "note: planner.motions.length: got 7 m: paths are longer than the domain, 6 m",
+        ),
+        (["planner.motions.length=6"], ""),
+    ],
+)
+def test_paths_that_are_longer_than_the_domain_are_mentioned(monkeypatch, write, capsys, words, note):
+    monkeypatch.setattr("bojax.engine.run.run_sweeps", lambda *_, **__: 1)
+    assert main(["run", "two-pits", *words]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith(note) and err.count("\n") == bool(note)
