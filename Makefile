@@ -26,8 +26,8 @@ test: $(DEV_STAMP)
 	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow" $(if $(CI),--durations=40)
 
 slow: $(DEV_STAMP)
-	BOJAX_TESTS=release JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m bits
-	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not bits"
+	BOJAX_TESTS=release JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "bits or minutes"
+	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not bits and not minutes"
 
 check: $(DEV_STAMP)
 	$(BIN)/ruff format --check .

@@ -21,6 +21,7 @@ CLAIMS = {
 """For each sweep a number of runs, and claims that so many runs reproduce."""
 
 
+@pytest.mark.minutes
 @pytest.mark.parametrize("name", CLAIMS)
 def test_claims_are_reproduced(name, tmp_path):
     runs, expected = CLAIMS[name]
