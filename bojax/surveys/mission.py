@@ -30,7 +30,7 @@ from bojax.surveys.team import MOST_ROBOTS
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
-FAR = 1.0  # sizes of the area beyond its bounds at which a position is taken for an error
+FAR = 0.5  # sizes of the area beyond its bounds at which a position is taken for an error
 LEAST_DATA = 10  # measurements before hyper-parameters are learned
 SPREAD = 1.0  # of the log-normal prior of the hyper-parameters
 MOST_EXACT = 256

@@ -94,6 +94,10 @@ def test_what_cannot_be_used_is_counted():
     }
     np.testing.assert_allclose(survey.position, [1.3, 1.0])
     assert survey.remaining == pytest.approx(12.0 - 0.3)
+    survey.observe([], [], [9.1, 1.0])
+    assert survey.counts["bad_pose"] == 2
+    survey.observe([], [], [8.9, 1.0])
+    np.testing.assert_allclose(survey.position, [8.9, 1.0])
 
 
 @pytest.mark.parametrize(("factor", "warned"), [(1.0, 0), (1e9, 1)])
