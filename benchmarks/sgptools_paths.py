@@ -99,20 +99,21 @@ def _path(field: Field, length: int, workers: Workers, index: int) -> Waypoints:
     }
     budget, found = float(length), []
     for _ in range(ROUNDS):
-        path = joined([_answer(workers, {**request, "budget": budget})], transfers)
+        answer, seconds = _answer(workers, {**request, "budget": budget})
+        path = joined([answer], transfers)
         cut = fitted(path, length, None, None)
-        found.append((_error(errors, cut, length), length_of(path), cut))
+        found.append((_error(errors, cut, length), length_of(path), cut, seconds))
         if length_of(path) <= ENOUGH * length:
             break
         budget *= length / length_of(path)
     best = min(found, key=lambda each: each[0])
-    tried = ", ".join(f"{error:.4f} ({driven:.1f})" for error, driven, _ in found)
+    tried = ", ".join(f"{error:.4f} ({driven:.1f}) in {s:.1f} CPU s" for error, driven, _, s in found)
     print(f"{field.place} {length} {index}: {tried}", flush=True)
     return best[2]
 
 
-def _answer(workers: Workers, request: dict[str, Any]) -> Waypoints:
-    """The path of a free worker.
+def _answer(workers: Workers, request: dict[str, Any]) -> tuple[Waypoints, float]:
+    """The path of a free worker, and the CPU seconds that it took.
 
     Raises:
         RuntimeError: It has ended.
@@ -125,7 +126,8 @@ def _answer(workers: Workers, request: dict[str, Any]) -> Waypoints:
     workers.put(worker)
     if not answer:
         raise RuntimeError("SGP-Tools has ended; sgptools_worker.py alone shows why")
-    return np.array(json.loads(answer))
+    found = json.loads(answer)
+    return np.array(found["path"]), found["seconds"]
 
 
 def _error(errors: PointErrors, route: Waypoints, length: float) -> float:

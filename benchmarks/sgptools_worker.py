@@ -1,4 +1,4 @@
-"""Paths of SGP-Tools 2.0.7, in JSON: a request a line on standard input, a path a line on standard output.
+"""Paths of SGP-Tools 2.0.7, in JSON: requests on standard input, paths and CPU seconds on standard output.
 
 `sgptools_paths.py` starts it with the Python of an environment that has SGP-Tools and not bojax.
 """
@@ -6,6 +6,7 @@
 import json
 import os
 import sys
+import time
 from typing import Any
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -37,7 +38,10 @@ def main() -> None:
     tf.config.threading.set_inter_op_parallelism_threads(1)
     answers, sys.stdout = sys.stdout, sys.stderr  # it prints warnings
     for line in sys.stdin:
-        print(json.dumps(path_of(**json.loads(line))), file=answers, flush=True)
+        begin = time.process_time()
+        path = path_of(**json.loads(line))
+        seconds = time.process_time() - begin
+        print(json.dumps({"path": path, "seconds": seconds}), file=answers, flush=True)
 
 
 def path_of(

@@ -100,7 +100,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def _note_doubts(sweep: Sweep) -> None:
-    """Say on standard error what the first doubtful point is hardly meant to do."""
+    """Print a note on standard error on the first point whose settings are probably a mistake."""
     for point in sweep.points:
         if doubt := _doubt(point.config):
             print(f"note: {doubt}", file=sys.stderr)
@@ -108,14 +108,14 @@ def _note_doubts(sweep: Sweep) -> None:
 
 
 def _doubt(config: Any) -> str:
-    """What a user would want to know of a point before it runs, or nothing."""
+    """What is probably a mistake in the settings of a point; empty if nothing is."""
     env, problem, planner = (getattr(config, part, None) for part in ("env", "problem", "planner"))
     if getattr(config, "stop", "") == "first-success" and getattr(env, "success", "") == "never":
         return 'env.success: got "never": no run ends before its last episode, or counts as a success'
     paths, domain = getattr(planner, "motions", planner), getattr(problem, "domain", None)
     length, name = getattr(paths, "length", 0.0), "length" if paths is planner else "motions.length"
     if domain is not None and length > (side := max(domain[2] - domain[0], domain[3] - domain[1])):
-        return f"planner.{name}: got {length:g} m: paths are longer than the domain, {side:g} m, and leave it"
+        return f"planner.{name}: got {length:g} m: such paths may leave the domain, which is {side:g} m wide"
     return ""
 
 

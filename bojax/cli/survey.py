@@ -147,9 +147,10 @@ def _parser(name: str) -> Parser:
     parser = Parser(
         name,
         "AREA [--budget LENGTH | --time TIME --speed M/S] [--start X,Y] [--end X,Y]\n"
-        "                    [--avoid FILE]... [--below V] [--prior FILE] [--lengthscale M] [--spacing M]\n"
-        "                    [--goal map|hotspots|threshold=V|region=FILE] [--sampling M]\n"
-        "                    [--robots N] [--separation M] [--lawnmower] [--out DIR]",
+        "                    [--avoid FILE]... [--below V] [--prior FILE] [--lengthscale LENGTH]\n"
+        "                    [--goal map|hotspots|threshold=V|region=FILE] [--spacing LENGTH]\n"
+        "                    [--sampling LENGTH] [--robots N] [--separation LENGTH]\n"
+        "                    [--lawnmower] [--out DIR]",
         _DESCRIPTION,
         _EXAMPLES,
     )
@@ -166,8 +167,8 @@ def _parser(name: str) -> Parser:
     parser.option("--end", "X,Y", "last point (default: free)", _point, action="append", default=[])
     robots = "robots that survey at once, 1 to 4; --start and --end are for all, or repeated for each"
     parser.option("--robots", "N", robots, integer, default=1, choices=range(1, 5))
-    apart = "least distance of two robots at equal times, but for 2 M metres at a common start or end"
-    parser.option("--separation", "M", apart, _length, default=0.0)
+    apart = "least distance of two robots at equal times, but for twice as far at a common start or end"
+    parser.option("--separation", "LENGTH", apart, _length, default=0.0)
     avoid = "no-go zones: polygons, or a raster with data in them; may be repeated"
     parser.option("--avoid", "FILE", avoid, action="append", default=[])
     parser.option("--below", "V", "of a raster, only cells with values below V: 0 for the sea", _number)
@@ -175,12 +176,12 @@ def _parser(name: str) -> Parser:
     parser.option("--prior", "FILE", prior)
     goal = "places that count: all, the highest tenth, those near a value, or a region (default: map)"
     parser.option("--goal", "GOAL", goal, _goal_words, default=("map", ""))
-    scale = "distance over which values are alike, m (default: learned, or a tenth of AREA's root)"
-    parser.option("--lengthscale", "M", scale, _length)
-    lines = "least distance between two lines, m (default without a budget: the lengthscale)"
-    parser.option("--spacing", "M", lines, _length)
-    sampling = "distance between two measurements, m (default: a fifth of the lengthscale)"
-    parser.option("--sampling", "M", sampling, _length)
+    scale = "distance over which values are alike (default: learned, or a tenth of AREA's root)"
+    parser.option("--lengthscale", "LENGTH", scale, _length)
+    lines = "least distance between two lines (default without a budget: the lengthscale)"
+    parser.option("--spacing", "LENGTH", lines, _length)
+    sampling = "distance between two measurements (default: a fifth of the lengthscale)"
+    parser.option("--sampling", "LENGTH", sampling, _length)
     parser.flag("--lawnmower", "compare lawnmowers only, and optimise no route")
     parser.option("--out", "DIR", "new or empty folder (default: results/survey/TIME)", path)
     return parser
@@ -203,7 +204,7 @@ def _positive(text: str) -> float:
 
 
 def _length(text: str) -> float:
-    found = re.fullmatch(r"([\d.eE+]+)\s*(km|m)?", text)
+    found = re.fullmatch(r"([\d.eE+-]+)\s*(km|m)?", text)
     if not found:
         raise argparse.ArgumentTypeError(f"got {text}; allowed: metres, or a length such as 2km or 800m")
     return _positive(found[1]) * (1000.0 if found[2] == "km" else 1.0)

@@ -57,7 +57,7 @@ class PlanningEpisode(Experiment):
     planner: Planner
 
     def __post_init__(self):
-        """Let the planner compute what it needs once for the problem."""
+        """Let the planner compute what it needs only once for the problem."""
         self.planner = self.planner.prepared(self.problem)
 
     def __check_init__(self):

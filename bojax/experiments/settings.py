@@ -58,7 +58,7 @@ class Planning(ExperimentSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _objective_of_a_field(self) -> "Planning":
+    def _needs_a_field(self) -> "Planning":
         is_known = not isinstance(self.problem, External | FieldProblem)
         if is_known and isinstance(self.planner, RouteSettings):
             raise ValueError(

@@ -50,10 +50,10 @@ class Planner(eqx.Module):
         return ()
 
     def prepared(self, problem: Any) -> "Planner":
-        """The planner of a problem, with what it computes once on the host; by default as it is.
+        """The planner with everything that it computes once, on the host, for a problem; by default itself.
 
         Raises:
-            ValueError: It cannot be computed for this problem.
+            ValueError: The planner cannot be prepared for this problem.
         """
         return self
 

@@ -25,7 +25,7 @@ MOST_SEEN = 1000
 """Points of an earlier survey that the weights of a goal are computed from."""
 
 SMALL = 0.01
-"""Share of the area's width that an earlier survey covers, below which the unit of positions is doubted."""
+"""Share of the area's width below which the positions of an earlier survey may be in another unit."""
 
 NOISE = 0.1  # standard deviation of the noise of a measurement, as a share of that of the field
 
@@ -101,10 +101,12 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     is_within = (points >= [x_min, y_min]) & (points <= [x_max, y_max])
     if not is_within.all(axis=1).any():
         notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
-    width, covered = max(x_max - x_min, y_max - y_min), float(np.ptp(points, axis=0).max())
-    if covered < SMALL * width:
+    width, extent = max(x_max - x_min, y_max - y_min), float(np.ptp(points, axis=0).max())
+    if extent <= 1e-9 * width:
+        raise ValueError(f"{file}: all values lie at one place; allowed: places that differ")
+    if extent < SMALL * width:
         notes.append(
-            f"{file}: all values lie within {covered:.3g} m, and the area is {width:.4g} m wide; "
+            f"{file}: all values lie within {extent:.3g} m, and the area is {width:.4g} m wide; "
             "check the unit of their positions."
         )
     if doubt := unit_doubt(values):
@@ -115,9 +117,6 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     scale = float(values.std())
     if scale <= 1e-12 * np.abs(values).max() or scale == 0.0:
         raise ValueError(f"{file}: all values are {values[0]:g}; allowed: values that differ")
-    extent = float(np.ptp(points, axis=0).max())
-    if extent <= 1e-9 * max(x_max - x_min, y_max - y_min):
-        raise ValueError(f"{file}: all values lie at one place; allowed: places that differ")
     gp = GaussianProcess.fit(
         Scaled(Matern52(jnp.asarray(lengthscale or extent / 10.0)), jnp.asarray(1.0)),
         jnp.asarray(NOISE**2),

@@ -11,7 +11,7 @@ from bojax.planning.routes.settings import RouteSettings
 class Lawnmower(RouteSettings, frozen=True):
     """Parallel lines over the area of a field, laid before the first step and driven piece by piece."""
 
-    target: ClassVar[str] = "bojax.surveys.mowing:Lawnmower"
+    target: ClassVar[str] = "bojax.surveys.lawnmower_planner:Lawnmower"
     kind: Literal["lawnmower"] = "lawnmower"
     spacing: float | None = Field(
         default=None,

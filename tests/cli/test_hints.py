@@ -110,7 +110,7 @@ def test_a_file_that_hides_a_shipped_one_is_mentioned(monkeypatch, write, capsys
     [
         (
             ["planner.motions.length=7"],
-            "note: planner.motions.length: got 7 m: paths are longer than the domain, 6 m",
+            "note: planner.motions.length: got 7 m: such paths may leave the domain, which is 6 m wide",
         ),
         (["planner.motions.length=6"], ""),
     ],

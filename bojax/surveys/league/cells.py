@@ -9,7 +9,7 @@ from bojax.surveys.league.routes import LEG, NOISE, SPACING, adaptive_route, map
 from bojax.surveys.league.scores import SHARE, scores_of, threshold_of
 
 LENGTHS, COVERING = (20, 40), 80
-"""Lengths of the routes, and one with which lines a lengthscale apart cover the square: for maps alone."""
+"""Lengths of all routes; and one for maps alone, enough for parallel lines about a lengthscale apart."""
 
 GOALS = ("map", "hotspots", "threshold")
 """Goals: the routes of the first do not depend on values, those of the others do."""

@@ -17,7 +17,7 @@ STEP, HEADINGS = 1.0, 16
 """Length and number of directions of the steps that the myopic route compares."""
 
 LINES = range(2, 13)
-"""Numbers of lines that are compared."""
+"""Numbers of lines among which the route from a corner is chosen."""
 
 
 def random_route(area: Area, budget: float, start: np.ndarray, seed: int) -> np.ndarray:
@@ -63,8 +63,8 @@ def corner_route(
 ) -> np.ndarray:
     """Straight to the nearest corner of the square `[0, side]^2`, and from there back and forth in lines.
 
-    The lines lie as far apart as the budget allows and the square is wide. Of their possible numbers, along
-    either side, it has the one after which the model expects the least error.
+    The lines are evenly spaced, and stop as far from the border as the budget requires. Of all numbers of
+    lines along either side, the one is chosen after which the model expects the least error.
     """
     distances = spacing * np.arange(1, round(budget / spacing) + 1)
     routes = []

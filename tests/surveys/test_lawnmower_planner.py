@@ -14,7 +14,7 @@ from bojax.areas.outlined import OutlinedArea  # noqa: E402
 from bojax.experiments.planning import PlanningEpisode  # noqa: E402
 from bojax.experiments.settings import Planning  # noqa: E402
 from bojax.planning.random import RandomPlanner  # noqa: E402
-from bojax.surveys.mowing import Lawnmower  # noqa: E402
+from bojax.surveys.lawnmower_planner import Lawnmower  # noqa: E402
 from bojax.surveys.polylines import length_of  # noqa: E402
 from bojax.surveys.settings import Lawnmower as LawnmowerSettings  # noqa: E402
 from tests.arrays import f64  # noqa: E402
