@@ -55,12 +55,10 @@ def field_errors(
     variance: Float[Array, "G"],
     is_open: Bool[Array, "G"],
     weighting: Weighting,
-    in_region: Bool[Array, "G"] | None = None,
 ) -> dict[str, Scalar]:
     """The columns of `ERROR_COLUMNS`, from the moments of the belief at the points of a regular grid.
 
-    Points that are not open, in walls, do not count. `weighting` gives the weights of the weighted RMSE. With
-    `in_region`, there are also the columns of `REGION_COLUMNS`, over the open points for which it is true.
+    Points that are not open, in walls, do not count. `weighting` gives the weights of the weighted RMSE.
     """
     truth = field.values(grid)
     counts = is_open.astype(truth.dtype)
@@ -72,7 +70,7 @@ def field_errors(
         return jnp.sqrt(jnp.sum(squared * error_weights(field, grid, weighting)) / number)
 
     nll = 0.5 * jnp.log(2.0 * jnp.pi * variance) + (mean - truth) ** 2 / (2.0 * variance)
-    errors = {
+    return {
         "rmse": jnp.sqrt(jnp.sum(squared) / number),
         "wrmse": weighted(weighting),
         "wrmse_gradient": weighted("gradient"),
@@ -80,20 +78,6 @@ def field_errors(
         "mnll": jnp.sum(counts * nll) / number,
         "mean_std": jnp.sum(counts * jnp.sqrt(variance)) / number,
     }
-    if in_region is None:
-        return errors
-    counts = counts * in_region.astype(counts.dtype)
-    number = jnp.sum(counts)
-    return errors | {
-        "rmse_region": jnp.sqrt(jnp.sum(counts * (mean - truth) ** 2) / number),
-        "mnll_region": jnp.sum(counts * nll) / number,
-        "mean_std_region": jnp.sum(counts * jnp.sqrt(variance)) / number,
-    }
-
-
-def is_within(box: Float[Array, "4"], points: Float[Array, "N 2"]) -> Bool[Array, "N"]:
-    """Whether points are in a box `[x_min, y_min, x_max, y_max]` or on its border."""
-    return jnp.all((points >= box[None, :2]) & (points <= box[None, 2:]), axis=-1)
 
 
 def error_weights(field: Field, points: Float[Array, "N 2"], weighting: Weighting) -> Float[Array, "N"]:

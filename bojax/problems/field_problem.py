@@ -27,16 +27,16 @@ from bojax.problems.field_errors import (
     DISTANCE,
     REGION_COLUMNS,
     STEP_COLUMNS,
+    STEP_ERRORS,
     Weighting,
     field_errors,
-    is_within,
 )
 from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
 from bojax.problems.objectives import FieldObjective, JointObjective
 from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.sensors import PointSensor, Sensor
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
-from bojax.problems.walls import Boxes
+from bojax.problems.walls import Boxes, is_inside
 from bojax.problems.ways_to_end import WaysToEnd, check_budget, ways_around
 from bojax.results.outline import Outline
 from bojax.results.schema import Table
@@ -140,7 +140,7 @@ class FieldProblem(PathProblem):
             )
         if self.region is not None and is_known((self.region, self.domain, self.walls, self.area)):
             grid = self.grid()
-            if not jnp.any(is_within(self.region, grid) & self.arena.is_free(grid)):
+            if not jnp.any(is_inside(grid, self.region) & self.arena.is_free(grid)):
                 raise ValueError("region: no free point of the grid of the errors lies in it")
         if self.ways is not None:
             arena = self.arena
@@ -392,8 +392,11 @@ class FieldProblem(PathProblem):
         mean, variance = belief.predict_grid(grid, self.resolution)
         is_open = self.arena.is_free(grid)
         taken = jnp.maximum(posterior.count + posterior.num_ignored, 1).astype(mean.dtype)
-        in_region = None if self.region is None else is_within(self.region, grid)
-        errors = field_errors(self.true_field, grid, mean, variance, is_open, self.weighting, in_region)
+        errors = field_errors(self.true_field, grid, mean, variance, is_open, self.weighting)
+        if self.region is not None:
+            counts = is_open & is_inside(grid, self.region)
+            within = field_errors(self.true_field, grid, mean, variance, counts, self.weighting)
+            errors |= {f"{name}_region": within[name] for name in STEP_ERRORS}
         return errors | {
             "collisions": world.collisions,
             "sampled_gradient": world.gradient / taken,

@@ -100,7 +100,7 @@ def drive_until_blocked(
     is_hit = _touches_any(trajectory[:-1], poses, walls, may_leave=True)
     if area is not None:
         is_hit = is_hit | area.is_blocked(trajectory)
-    is_free = ~is_hit & _is_inside(poses, domain)
+    is_free = ~is_hit & is_inside(poses, domain)
     is_on, collided, number = jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     for index in range(poses.shape[0]):
         collided = collided | (is_on & is_hit[index])
@@ -122,11 +122,12 @@ def is_free(
     area: OutlinedArea | None = None,
 ) -> Bool[Array, "N"]:
     """Whether points lie in the domain, in the area, and outside all walls."""
-    free = _is_inside(points, domain) & ~_touches_any(points, points, walls)
+    free = is_inside(points, domain) & ~_touches_any(points, points, walls)
     return free if area is None else free & area.is_inside(points)
 
 
-def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[Array, "*N"]:
+def is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[Array, "*N"]:
+    """Whether points lie in a box `[x_min, y_min, x_max, y_max]` or on its border."""
     x, y = points[..., 0], points[..., 1]
     return (x >= domain[0]) & (y >= domain[1]) & (x <= domain[2]) & (y <= domain[3])
 
