@@ -10,6 +10,7 @@ from bojax.numerics.simulation_keys import random_index
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Expansion
 from bojax.planning.belief_tree import BeliefTree, row
+from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
@@ -21,11 +22,13 @@ class Reservoirs(eqx.Module):
         steps: K simulated steps: the state, the reward, and whether the state is terminal.
         observation: The observation of the branch.
         log_weight: Logarithm of the sum of the weights of all steps.
+        count: Number of times that the observation was drawn, M of Algorithm 2; None if none comes again.
     """
 
     steps: Float[Array, "K S"]
     observation: Float[Array, "O"]
     log_weight: Float[Array, ""]
+    count: Float[Array, ""] | None
 
 
 class POMCPOW(BeliefSearch):
@@ -33,12 +36,15 @@ class POMCPOW(BeliefSearch):
 
     A simulation descends with a state. Where it passes an existing branch, its step is added to the branch,
     weighted by the likelihood of the branch's observation, and replaced by a draw from the branch by weight.
+    If the problem has discrete observations, one that is drawn again only makes its branch more likely, as in
+    the published program: the draw has come with a state that is likely where it is observed, and the weight
+    would count that twice.
 
     Deviation: a branch keeps K reservoirs of one step in place of all steps (Chao, Biometrika 1982, for one
     item). A new step of weight w takes each place with probability w over the sum of all weights; a draw
     takes a random place. Each draw has the distribution of a draw from the list; draws of later visits are
     correlated, which makes the search optimistic. Measured on the tiger problem, two actions deep, after
-    12,000 iterations: 15.53 is exact; 17.8 with 4 places, 16.0 with 16, 15.65 with 64, 15.59 with 256.
+    12,000 iterations: 15.53 is exact; 17.2 with 4 places, 15.9 with 16, 15.56 with 64.
 
     Attributes:
         num_reservoirs: The number K.
@@ -55,7 +61,32 @@ class POMCPOW(BeliefSearch):
             jnp.zeros((self.num_reservoirs, state.shape[0] + 2), state.dtype),
             jnp.zeros(observation.shape, observation.dtype),
             jnp.zeros((), state.dtype),
+            jnp.zeros((), state.dtype) if self.joins(problem) else None,
         )
+
+    @override
+    def joins(self, problem: StateProblem) -> bool:
+        return problem.has_discrete_observations
+
+    @override
+    def draw(
+        self,
+        key: Key[Array, ""],
+        problem: StateProblem,
+        tree: BeliefTree,
+        state: Float[Array, "D"],
+        action: Float[Array, "K"],
+        branches: Int[Array, "B"],
+        is_counted: Bool[Array, ""],
+    ) -> tuple[Reservoirs, Bool[Array, ""], Float[Array, "B"]]:
+        key_step, key_observation = jax.random.split(key)
+        next_state, _, _ = problem.step(key_step, state, action)
+        observation = problem.observe(key_observation, state, action, next_state)
+        beliefs, is_branch = tree.beliefs, branches != ROOT
+        is_same = is_branch & jnp.all(beliefs.observation[branches] == observation[None], axis=1)
+        count = beliefs.count.at[branches].add((is_same & is_counted).astype(beliefs.count.dtype))
+        beliefs = eqx.tree_at(lambda all: all.count, beliefs, count)
+        return beliefs, jnp.any(is_same), jnp.where(is_branch, count[branches], 0.0)
 
     @override
     def follow(
@@ -106,6 +137,7 @@ class POMCPOW(BeliefSearch):
             jnp.broadcast_to(step[None], (self.num_reservoirs, *step.shape)),
             observation,
             _log_weight(problem, observation, state, action, next_state),
+            jnp.ones((), state.dtype) if self.joins(problem) else None,
         )
         # A terminal state ends this simulation, not the branch: others may pass with a state that goes on.
         return Expansion(belief, reward, ended, States(next_state[None], ~ended[None]))

@@ -31,7 +31,8 @@ def check_model(problem: StateProblem) -> None:
     NaN; methods that are not pure; an observation that no particle explains; a likelihood that does not fit
     the observations, see `_check_fit`; and a likelihood that is not the logarithm of one. That is so if the
     probabilities of a finite set of observations do not sum to 1, or if the logarithm is never negative, even
-    far from all observations. Whether a density integrates to 1 is not checked.
+    far from all observations. Whether a density integrates to 1 is not checked. Refused is also a wrong
+    `has_discrete_observations`.
 
     Classes of bojax, and problems that JAX is tracing, pass.
     """
@@ -186,6 +187,7 @@ def _check_numbers(problem: StateProblem) -> None:
         )
     _check_logarithm(sample.observations[used], own, others, sample.far[used])
     _check_fit(own[:, 0], others)
+    _check_repetition(sample.observations[used], problem.has_discrete_observations)
 
 
 def _check_logarithm(
@@ -227,6 +229,19 @@ def _check_fit(own: Float[np.ndarray, "T"], others: Float[np.ndarray, "T T"]) ->
             "log_likelihood does not fit observe: observations are likelier after other steps than after the "
             "step that made them"
         )
+
+
+def _check_repetition(observations: Float[np.ndarray, "T N O"], is_discrete: bool) -> None:
+    """Refuse observations that come again if they are not said to, or the reverse."""
+    num_steps, num_draws, size = observations.shape
+    number = len(np.unique(observations.reshape(-1, size), axis=0))
+    if number <= num_steps // 2 and not is_discrete:
+        _refuse(
+            f"observe: {num_steps * num_draws} observations have {number} values; allowed: "
+            "has_discrete_observations = True in the class"
+        )
+    if is_discrete and number == num_steps * num_draws:
+        _refuse("has_discrete_observations is True, but no observation comes again; allowed: False")
 
 
 def _traces_agree(problem: StateProblem) -> bool:

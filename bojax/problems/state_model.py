@@ -1,6 +1,7 @@
 """The generative model of a continuous POMDP, written for one particle."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Key
@@ -16,9 +17,12 @@ class StateModel(eqx.Module):
 
     Attributes:
         discount: Discount of the reward per step, in (0, 1].
+        has_discrete_observations: Whether observations have finitely many values, so that equal ones come
+            again: POMCPOW then plans on one branch for all that are equal.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]
+    has_discrete_observations: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod

@@ -58,9 +58,23 @@ class Drift(StateProblem):
         return -3.0 * jnp.abs(state[0])
 
 
-def drift(sensor_noise=0.5, end=2.0, discrete=False):
+class RoundedDrift(Drift):
+    """`Drift` with an observation that is 0 or 1 for each half, and right in 4 of 5 cases."""
+
+    has_discrete_observations = True
+
+    def observe(self, key, state, action, next_state):
+        is_right = jax.random.bernoulli(key, 0.8)
+        return jnp.where(is_right, next_state > 0.0, next_state <= 0.0).astype(float)
+
+    def log_likelihood(self, observation, state, action, next_state):
+        is_right = (observation[0] > 0.0) == (next_state[0] > 0.0)
+        return jnp.log(jnp.where(is_right, 0.8, 0.2))
+
+
+def drift(sensor_noise=0.5, end=2.0, discrete=False, kind=Drift):
     space = Discrete(jnp.asarray([[-0.7], [0.0], [0.7]])) if discrete else Box(-jnp.ones(1), jnp.ones(1))
-    return Drift(number(0.9), number(sensor_noise), number(end), space)
+    return kind(number(0.9), number(sensor_noise), number(end), space)
 
 
 def belief_of(problem, num=50, seed=1):
@@ -80,7 +94,9 @@ def reference_tree(planner, key, problem, belief):
     draws = Draws(key, problem, belief, planner)
     settings = SETTINGS | {"discount": 0.9, "num_actions": getattr(problem.actions, "count", None)}
     if isinstance(planner, POMCPOW):
-        return reference.POMCPOW(draws, **settings).search(None, planner.iterations)
+        kind = reference.JoinedPOMCPOW if problem.has_discrete_observations else reference.POMCPOW
+        settings["observation_widening"] = tuple(jax.tree.leaves(planner.observation_widening))
+        return kind(draws, **settings).search(None, planner.iterations)
     root = eqx.filter_jit(planner.root)(draws.root_key, problem, belief)
     content = np.asarray(root.states), np.asarray(root.alive)
     return reference.PFT(draws, **settings).search(content, planner.iterations)
@@ -127,6 +143,7 @@ class Draws:
         self.states = np.asarray(draw_states(key_states, belief, planner.iterations))
         self._given = jax.random.key_data(self.search_key), problem, planner.leaf_value
         names = "action branch leaf_value particle resampling observation move new_step next_step places"
+        names += " drawn branch_by_count"
         for name in names.split():
             setattr(self, name, partial(self._drawn, globals()[f"_{name}"]))
         self.decode = partial(_on_numpy, _decode, problem)
@@ -162,8 +179,9 @@ def _part(key, i, which):
     return jax.random.split(jax.random.fold_in(key, i), 4)[which]
 
 
-def _level_keys(key, i, level):
-    return jax.random.split(jax.random.fold_in(_part(key, i, 0), level))
+def _level_keys(key, problem, i, level):
+    number = 3 if problem.has_discrete_observations else 2
+    return jax.random.split(jax.random.fold_in(_part(key, i, 0), level), number)
 
 
 def _particle_keys(key, i):
@@ -176,7 +194,7 @@ def _action(key, problem, leaf_value, i):
 
 
 def _branch(key, problem, leaf_value, i, level, number):
-    return random_index(_level_keys(key, i, level)[0], number)
+    return random_index(_level_keys(key, problem, i, level)[0], number)
 
 
 def _leaf_value(key, problem, leaf_value, i, states, alive, left):
@@ -206,7 +224,11 @@ def _move(key, problem, leaf_value, i, states, action, observation):
 
 
 def _new_step(key, problem, leaf_value, i, state, action):
-    key_step, key_observation = jax.random.split(_part(key, i, 2))
+    return _stepped(_part(key, i, 2), problem, state, action)
+
+
+def _stepped(key, problem, state, action):
+    key_step, key_observation = jax.random.split(key)
     next_state, reward, ended = problem.step(key_step, state, action)
     observation = problem.observe(key_observation, state, action, next_state)
     likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
@@ -214,12 +236,21 @@ def _new_step(key, problem, leaf_value, i, state, action):
 
 
 def _next_step(key, problem, leaf_value, i, level, state, action, observation):
-    key_step, *_ = jax.random.split(_level_keys(key, i, level)[1], 3)
+    key_step, *_ = jax.random.split(_level_keys(key, problem, i, level)[1], 3)
     next_state, reward, ended = problem.step(key_step, state, action)
     likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
     return next_state, reward, ended, likelihood
 
 
+def _drawn(key, problem, leaf_value, i, level, state, action):
+    return _stepped(_level_keys(key, problem, i, level)[2], problem, state, action)
+
+
+def _branch_by_count(key, problem, leaf_value, i, level, counts):
+    uniform = jax.random.uniform(_level_keys(key, problem, i, level)[0], (), float)
+    return jnp.searchsorted(jnp.cumsum(counts), uniform * jnp.sum(counts), side="right")
+
+
 def _places(key, problem, leaf_value, i, level, number):
-    _, key_places, key_draw = jax.random.split(_level_keys(key, i, level)[1], 3)
+    _, key_places, key_draw = jax.random.split(_level_keys(key, problem, i, level)[1], 3)
     return jax.random.uniform(key_places, (4,), float), random_index(key_draw, number)

@@ -15,7 +15,16 @@ from bojax.planning.tree import ROOT
 from bojax.problems.actions import Balls, Box, Discrete, Mixed
 from bojax.problems.particles import Particles
 from tests.planning import belief_searches
-from tests.planning.belief_searches import SETTINGS, belief_of, drift, number, planner, reference_tree
+from tests.planning.belief_searches import (
+    SETTINGS,
+    Drift,
+    RoundedDrift,
+    belief_of,
+    drift,
+    number,
+    planner,
+    reference_tree,
+)
 from tests.reference import belief_search as reference
 from tests.tiers import by_tier
 
@@ -52,10 +61,17 @@ def compare(tree, node, expected):
         ("pft", {"sensor_noise": 0.0}),  # no particle has a weight
         ("pomcpow", {}),
         pytest.param("pomcpow", {"discrete": True, "leaf_value": StateValue()}, marks=pytest.mark.slow),
+        ("pomcpow", {"problem": RoundedDrift}),  # both observations of every action
+        pytest.param(
+            "pomcpow",
+            {"problem": RoundedDrift, "discrete": True, "observation_widening": (1.0, 0.1)},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_tree_is_that_of_the_reference(name, changes):
-    problem = drift(changes.get("sensor_noise", 0.5), discrete=changes.get("discrete", False))
+    kind = changes.get("problem", Drift)
+    problem = drift(changes.get("sensor_noise", 0.5), discrete=changes.get("discrete", False), kind=kind)
     belief, search_planner = belief_of(problem), planner(name, ITERATIONS, **changes)
     tree = search(search_planner, problem, belief)
     expected = reference_tree(search_planner, jax.random.key(KEY), problem, belief)

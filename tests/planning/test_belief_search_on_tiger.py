@@ -139,10 +139,17 @@ def test_branches_of_pomcpow_draw_from_the_posterior(net_hearings):
     nodes = np.stack(
         [forest.branches[lane, forest.children[lane, ROOT, LISTEN]] for lane in range(NUM_LANES)]
     )
+    assert np.all(nodes[:, 2:] == ROOT)  # one branch for each side
+    nodes = nodes[:, :2]
     lanes = np.arange(NUM_LANES)[:, None]
     heard = np.asarray(forest.beliefs.observation)[lanes, nodes, 0]
     right = np.asarray(forest.beliefs.steps)[lanes, nodes, :, 0].mean(axis=-1)
     visits = np.asarray(forest.totals)[lanes, nodes, :, 0].sum(axis=-1)
+    assert np.all(np.sort(heard) == [0.0, 1.0])
+    counts = np.asarray(forest.beliefs.count)[lanes, nodes]
+    drawn, hears_right = counts.sum(axis=1), right_after(net_hearings) * 0.7 + 0.15
+    shares = counts[heard == 1.0] / drawn
+    assert abs(shares.mean() - hears_right) < 4 * (0.25 / drawn.sum()) ** 0.5
     for side in (0, 1):
         found, expected = right[heard == side], right_after(net_hearings + 2 * side - 1)
         # A ratio of sums over the visits is biased by the order of one over their number.

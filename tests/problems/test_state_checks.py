@@ -83,6 +83,8 @@ class Line(StateProblem):
 class Coin(Line):
     """A reading of three values."""
 
+    has_discrete_observations = True
+
     def observe(self, key, state, action, next_state):
         return jax.random.categorical(key, self._logits(next_state))[None].astype(float)
 
@@ -92,6 +94,18 @@ class Coin(Line):
 
     def _logits(self, state):
         return jnp.stack([state[0], jnp.zeros_like(state[0]), -state[0]])
+
+
+class ForgottenCoin(Coin):
+    """A coin that does not say that readings come again."""
+
+    has_discrete_observations = False
+
+
+class CountedLine(Line):
+    """A line that says that readings come again."""
+
+    has_discrete_observations = True
 
 
 def refused(problem):
@@ -166,6 +180,18 @@ def test_probabilities_of_finite_observations_sum_to_1():
     assert_refused(
         (refused(Coin(mistake=name)), f"^problem: Coin: log_likelihood: the probabilities of 3 obs.* {total}")
         for name, total in (("density", "sum to 4"), ("weights", r"sum to 1\.11"))
+    )
+
+
+def test_whether_observations_come_again_is_checked():
+    assert_refused(
+        (
+            (
+                refused(ForgottenCoin()),
+                r"observe: \d+ obs.* have 3 values; allowed: has_discrete_observations = True",
+            ),
+            (refused(CountedLine()), "has_discrete_observations is True, but no observation comes again"),
+        )
     )
 
 

@@ -255,6 +255,8 @@ def test_the_value_of_tiger_is_that_of_dynamic_programming():
     assert [value[n == i].item() for i in (0, 1, 2)] == pytest.approx([19.371368, 21.4435, 25.0807], abs=1e-4)
     assert set(n[~opens]) == {-1, 0, 1}
     assert reference.tiger_values(100)[1][n == 0] == pytest.approx(19.247365, abs=1e-5)
+    seen = problem("tiger").heuristic_value(jnp.zeros(1))  # the treasure, 100 times
+    assert float(seen) == pytest.approx(np.sum(10.0 * 0.95 ** np.arange(100)))
     returns = np.asarray(tiger_returns(problem("tiger"), jax.random.key(8), 20_000))
     assert abs(returns.mean() - 19.247365) < 3.0 * returns.std() / len(returns) ** 0.5
 

@@ -2,7 +2,7 @@
 
 `draws` gives the random numbers and the simulated steps of an iteration, so that another program can use the
 same. As in bojax: PFT ends branches with the observed termination; POMCPOW's branches keep reservoirs.
-`POMCPOWWithLists` keeps all steps of a branch, as published.
+`POMCPOWWithLists` keeps all steps of a branch, as published. `JoinedPOMCPOW` has discrete observations.
 """
 
 import math
@@ -174,6 +174,42 @@ class POMCPOW(Search):
         ]
         child.content = observation, total, steps
         return steps[place]
+
+
+class JoinedPOMCPOW(POMCPOW):
+    """With observations that come again: `counts` of an action node has M(hao) for each branch."""
+
+    def simulate(self, b, state, level, root):
+        if level == self.depth:
+            return self.draws.leaf_value(*self.states_at(b, state), 0)
+        a = self.action_prog_widen(b)
+        if a.visits == 0:
+            a.parameters, a.counts = self.propose(b, a), []
+        action = self.draws.decode(a.parameters)
+        k, alpha = self.observation_widening
+        if len(a.branches) <= k * a.visits**alpha and len(a.branches) < self.max_branches:
+            *step, observation, likelihood = self.draws.drawn(level, state, action)
+            same = [i for i, each in enumerate(a.branches) if np.array_equal(each.content[0], observation)]
+            if not same:
+                next_state, reward, ended = step
+                a.branches.append(Belief((observation, likelihood, [tuple(step)] * self.num_reservoirs)))
+                a.counts.append(1)
+                total = reward
+                if not ended:
+                    alive = next_state[None], np.array([True])
+                    total += self.discount * self.draws.leaf_value(*alive, self.depth - 1 - level)
+                a.visits += 1
+                a.total += total
+                return total
+            a.counts[same[0]] += 1
+        child = a.branches[self.draws.branch_by_count(level, np.array(a.counts, float))]
+        state, reward, is_terminal = self.old_branch(child, state, action, level)
+        total = reward
+        if not is_terminal:
+            total += self.discount * self.simulate(child, state, level + 1, root)
+        a.visits += 1
+        a.total += total
+        return total
 
 
 class POMCPOWWithLists(POMCPOW):

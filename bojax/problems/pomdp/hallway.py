@@ -1,5 +1,7 @@
 """A hallway with doors that look the same: find out where you are, then stop at the right one."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,6 +23,8 @@ class Hallway(ReadingProblem):
 
     Settings: `bojax.problems.pomdp.settings.Hallway`.
     """
+
+    has_discrete_observations: ClassVar[bool] = True
 
     length: Float[Array, ""]
     doors: Float[Array, "N"]

@@ -1,5 +1,7 @@
 """The tiger problem (Kaelbling, Littman and Cassandra, 1998), whose value is known exactly."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,8 @@ class Tiger(ReadingProblem):
 
     Settings: `bojax.problems.pomdp.settings.Tiger`.
     """
+
+    has_discrete_observations: ClassVar[bool] = True
 
     listen_reward: Float[Array, ""]
     tiger_reward: Float[Array, ""]
@@ -44,6 +48,12 @@ class Tiger(ReadingProblem):
         opened = jnp.where(finds_tiger, self.tiger_reward, self.treasure_reward)
         next_state = jnp.where(listens, state, self.initial(key))
         return next_state, jnp.where(listens, self.listen_reward, opened), jnp.zeros((), bool)
+
+    @override
+    def heuristic_value(self, state: Float[Array, "1"]) -> Float[Array, ""]:
+        # Whoever sees the tiger opens the other door every time, up to the horizon.
+        weights = self.discount ** jnp.arange(self.max_steps, dtype=self.discount.dtype)
+        return jnp.maximum(self.treasure_reward, self.listen_reward) * jnp.sum(weights)
 
     @override
     def reading(self, action: Float[Array, "1"], next_state: Float[Array, "1"]) -> BinaryReading:
