@@ -175,6 +175,8 @@ class Grid(_Measured, frozen=True):
             allowed = 'allowed: data in all, or holes: "nearest"'
             raise ValueError(f"{self.file}: {number} of {size} cells have no data; {allowed}")
         self._doubt(raster.values)
+        for note in raster.notes if self.extent is None else ():
+            note_once(f"note: {self.file}: {note} The setting `extent` gives their size.")
         return local_extent(raster)
 
 
