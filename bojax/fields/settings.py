@@ -176,7 +176,7 @@ class Grid(_Measured, frozen=True):
             raise ValueError(f"{self.file}: {number} of {size} cells have no data; {allowed}")
         self._doubt(raster.values)
         for note in raster.notes if self.extent is None else ():
-            note_once(f"note: {self.file}: {note} The setting `extent` gives their size.")
+            note_once(f"note: {self.file}: {note} Set `extent` to give the size of the grid.")
         return local_extent(raster)
 
 

@@ -51,7 +51,7 @@ class Candidates(eqx.Module):
         It gives the index of the chosen candidate, and its factor of U.
         """
         # Features are bilinear: phi(s', a)'m = x(s')'split(m, y(a)). One product of x with a matrix gives the
-        # values of all candidates, and phi(s', a) is computed for none of them, unless U needs its variance.
+        # values of all candidates, and phi(s', a) is computed only where U needs variances.
         q, u = self.split(mean[:, Q]), self.kappa * self.split(mean[:, U])
 
         def choose(x):
@@ -117,11 +117,6 @@ class Policy(eqx.Module):
         none = jnp.zeros_like(rewards, jnp.int32), jnp.zeros_like(rewards)
         (chosen, factors), signature = transitions.fold(visit, (none, jnp.zeros(2, jnp.uint32)))
         return cls(chosen, factors, signature)
-
-
-def quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
-    """The quadratic form x'F x of every row x and every matrix F."""
-    return jax.vmap(lambda form: row_sums(matmul_on_tensor_cores(x, form) * x), out_axes=1)(forms)
 
 
 def _salts(index: Int[Array, "B"]) -> UInt32[Array, "B 2"]:

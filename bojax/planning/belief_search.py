@@ -52,7 +52,7 @@ class BeliefTreeSearch(eqx.Module):
     Every iteration descends from the root, at each belief node to the action that maximises
     Q + c sqrt(ln N / n), and on to a draw among the branches of that action, until progressive widening adds
     an action or a branch. Branches are drawn uniformly, or, of a search that `joins` equal observations, in
-    proportion to the number of times that they were drawn. Random numbers are functions of the key, the
+    proportion to how often their observation was drawn. Random numbers are functions of the key, the
     iteration and the level. Loops have as many turns as the deepest lane of a batch needs: batch with
     `vmap(axis_name=LANES)`.
 
@@ -95,7 +95,7 @@ class BeliefTreeSearch(eqx.Module):
         return jnp.asarray(jnp.inf, visits.dtype)
 
     def joins(self, problem: Model) -> bool:
-        """Whether a branch is added only for an observation that no other branch has, see `draw`."""
+        """Whether equal observations of an action share one branch."""
         return False
 
     def draw(
@@ -107,12 +107,12 @@ class BeliefTreeSearch(eqx.Module):
         action: Float[Array, "K"],
         branches: Int[Array, "B"],
         is_counted: Bool[Array, ""],
-    ) -> tuple[Belief, Bool[Array, ""], Num[Array, "B"]]:
-        """Draw an observation, for a search that `joins` branches: that of `expand` with the same key.
+    ) -> tuple[Belief, Bool[Array, ""], Float[Array, "B"]]:
+        """Draw the observation that `expand` draws with the same key; only called if the search `joins`.
 
-        `branches` are the belief nodes of the action, or the root where there is none. Returns the beliefs of
-        the tree, in which the draw is counted if `is_counted`; whether a branch has this observation; and how
-        often the observation of each branch was drawn.
+        `branches` are the belief nodes of the action, padded with `ROOT`. Returns the beliefs of the tree, in
+        which the draw is counted if `is_counted`; whether a branch has this observation; and how often the
+        observation of each branch was drawn.
         """
         raise NotImplementedError
 
@@ -200,8 +200,8 @@ class BeliefTreeSearch(eqx.Module):
     ) -> BeliefTree:
         key_descent, key_proposal, key_expansion, key_leaf = jax.random.split(key, 4)
         tree, end = self._descend(problem, rules, tree, key_descent, state)
-        if self.joins(problem):  # the step whose observation was new
-            *_, key_expansion = _level_keys(jax.random.clone(key_descent), end.level, 3)
+        if self.joins(problem):  # the key of the draw whose observation was new
+            *_, key_expansion = _level_keys(jax.random.clone(key_descent), end.level)
 
         # A lane whose descent has ended at the horizon or with the episode computes this too; the result is
         # masked, as in a batch a branch would be computed in every lane.
@@ -250,7 +250,7 @@ class BeliefTreeSearch(eqx.Module):
 
         def next_level(carry: tuple[Belief, _Descent]) -> tuple[Belief, _Descent]:
             beliefs, at = carry
-            key_branch, key_follow, *keys_draw = _level_keys(key, at.turn, 3 if self.joins(problem) else 2)
+            key_branch, key_follow, key_draw = _level_keys(key, at.turn)
             totals = row(tree.totals, at.node)
             slot = self._select(rules, totals)
             visits = row(totals[:, 0], slot)
@@ -258,13 +258,13 @@ class BeliefTreeSearch(eqx.Module):
             parameters = row(tree.parameters, action_node)
             action = problem.actions.decode(parameters)
             grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
-            may_have = jnp.sum(rules.for_branches <= visits, dtype=jnp.int32)
+            num_allowed = jnp.sum(rules.for_branches <= visits, dtype=jnp.int32)
             if self.joins(problem):
                 branches = jnp.where(visits > 0.0, row(tree.branches, action_node), ROOT)
                 num_branches = jnp.sum(branches != ROOT, dtype=jnp.int32)
-                draws = may_have > num_branches
+                draws = num_allowed > num_branches
                 beliefs, is_known, counts = self.draw(
-                    keys_draw[0], problem, grown, at.state, action, branches, at.is_active & draws
+                    key_draw, problem, grown, at.state, action, branches, at.is_active & draws
                 )
                 grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
                 adds = draws & ~is_known
@@ -272,7 +272,7 @@ class BeliefTreeSearch(eqx.Module):
             else:
                 # The number of branches is that of the thresholds which the earlier visits have reached.
                 num_branches = jnp.sum(rules.for_branches <= visits - 1.0, dtype=jnp.int32)
-                adds = may_have > num_branches
+                adds = num_allowed > num_branches
                 branch = row(tree.branches, action_node, random_index(key_branch, num_branches))
             is_followed = at.is_active & ~adds
             beliefs, state, reward, ended = self.follow(
@@ -388,16 +388,16 @@ class BeliefTreeSearch(eqx.Module):
         return jax.lax.fori_loop(0, num_levels, level_above, (totals, later))[0]
 
 
-def _level_keys(key: Key[Array, ""], level: Int[Array, ""], number: int) -> Key[Array, "K"]:
+def _level_keys(key: Key[Array, ""], level: Int[Array, ""]) -> Key[Array, "3"]:
     """Keys of a level of a descent: of the choice of a branch, of the step along it, and of a draw."""
-    return jax.random.split(jax.random.fold_in(key, level), number)
+    return jax.random.split(jax.random.fold_in(key, level), 3)
 
 
-def _by_count(key: Key[Array, ""], counts: Num[Array, "B"]) -> Int[Array, ""]:
+def _by_count(key: Key[Array, ""], counts: Float[Array, "B"]) -> Int[Array, ""]:
     """An index with a probability proportional to its count; 0 if all counts are zero."""
     ends = jnp.cumsum(counts)
     chosen = jax.random.uniform(key, (), ends.dtype) * ends[-1]
-    # Rounding may give the sum itself.
+    # Rounding may make `chosen` equal to the sum, and the index one too large.
     last = jnp.maximum(jnp.sum(counts > 0, dtype=jnp.int32) - 1, 0)
     return jnp.minimum(jnp.sum(ends <= chosen, dtype=jnp.int32), last)
 

@@ -172,7 +172,8 @@ class Widening(eqx.Module):
 
         With alpha <= 1, k n^alpha is the slower of the two, once it has fallen behind n: the rule adds one
         child a visit until then, and child j at the first visit n with j <= k n^alpha from then on. So the
-        number of children is a function of the visits, which no node has to store.
+        number of children is a function of the visits, which no node has to store; where equal observations
+        share a branch, there may be fewer.
         """
         index = jnp.arange(capacity, dtype=self.coefficient.dtype)
         # The first child needs no visit: 0^0 would be 1.

@@ -31,8 +31,8 @@ def check_model(problem: StateProblem) -> None:
     NaN; methods that are not pure; an observation that no particle explains; a likelihood that does not fit
     the observations, see `_check_fit`; and a likelihood that is not the logarithm of one. That is so if the
     probabilities of a finite set of observations do not sum to 1, or if the logarithm is never negative, even
-    far from all observations. Whether a density integrates to 1 is not checked. Refused is also a wrong
-    `has_discrete_observations`.
+    far from all observations. Whether a density integrates to 1 is not checked. Also refused is a
+    `has_discrete_observations` that contradicts the observations of the walks.
 
     Classes of bojax, and problems that JAX is tracing, pass.
     """
@@ -232,9 +232,10 @@ def _check_fit(own: Float[np.ndarray, "T"], others: Float[np.ndarray, "T T"]) ->
 
 
 def _check_repetition(observations: Float[np.ndarray, "T N O"], is_discrete: bool) -> None:
-    """Refuse observations that come again if they are not said to, or the reverse."""
+    """Refuse a declaration that contradicts whether observations repeat."""
     num_steps, num_draws, size = observations.shape
     number = len(np.unique(observations.reshape(-1, size), axis=0))
+    # An observation without noise has one value for each step, and need not repeat.
     if number <= num_steps // 2 and not is_discrete:
         _refuse(
             f"observe: {num_steps * num_draws} observations have {number} values; allowed: "

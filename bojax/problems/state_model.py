@@ -17,8 +17,9 @@ class StateModel(eqx.Module):
 
     Attributes:
         discount: Discount of the reward per step, in (0, 1].
-        has_discrete_observations: Whether observations have finitely many values, so that equal ones come
-            again: POMCPOW then plans on one branch for all that are equal.
+        has_discrete_observations: Whether the same observation can occur twice with positive probability: it
+            has finitely many values, or one that says that nothing is seen. POMCPOW then plans on one branch
+            for all that are equal.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]

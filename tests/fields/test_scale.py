@@ -69,4 +69,4 @@ def test_a_grid_without_positions_is_noted_unless_it_has_an_extent(tmp_path, mon
     note, *more = capsys.readouterr().err.splitlines()
     assert not more
     assert note.startswith("note: grid.csv: it has no positions of rows and columns")
-    assert note.endswith("cells are taken to be 1 m wide. The setting `extent` gives their size.")
+    assert note.endswith("cells are taken to be 1 m wide. Set `extent` to give the size of the grid.")

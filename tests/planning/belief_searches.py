@@ -58,8 +58,8 @@ class Drift(StateProblem):
         return -3.0 * jnp.abs(state[0])
 
 
-class RoundedDrift(Drift):
-    """`Drift` with an observation that is 0 or 1 for each half, and right in 4 of 5 cases."""
+class BinaryDrift(Drift):
+    """`Drift` with an observation of the half that the state is in, 0 or 1, right in 4 of 5 cases."""
 
     has_discrete_observations = True
 
@@ -179,9 +179,8 @@ def _part(key, i, which):
     return jax.random.split(jax.random.fold_in(key, i), 4)[which]
 
 
-def _level_keys(key, problem, i, level):
-    number = 3 if problem.has_discrete_observations else 2
-    return jax.random.split(jax.random.fold_in(_part(key, i, 0), level), number)
+def _level_keys(key, i, level):
+    return jax.random.split(jax.random.fold_in(_part(key, i, 0), level), 3)
 
 
 def _particle_keys(key, i):
@@ -194,7 +193,7 @@ def _action(key, problem, leaf_value, i):
 
 
 def _branch(key, problem, leaf_value, i, level, number):
-    return random_index(_level_keys(key, problem, i, level)[0], number)
+    return random_index(_level_keys(key, i, level)[0], number)
 
 
 def _leaf_value(key, problem, leaf_value, i, states, alive, left):
@@ -236,21 +235,21 @@ def _stepped(key, problem, state, action):
 
 
 def _next_step(key, problem, leaf_value, i, level, state, action, observation):
-    key_step, *_ = jax.random.split(_level_keys(key, problem, i, level)[1], 3)
+    key_step, *_ = jax.random.split(_level_keys(key, i, level)[1], 3)
     next_state, reward, ended = problem.step(key_step, state, action)
     likelihood = jnp.exp(problem.log_likelihood(observation, state, action, next_state))
     return next_state, reward, ended, likelihood
 
 
 def _drawn(key, problem, leaf_value, i, level, state, action):
-    return _stepped(_level_keys(key, problem, i, level)[2], problem, state, action)
+    return _stepped(_level_keys(key, i, level)[2], problem, state, action)
 
 
 def _branch_by_count(key, problem, leaf_value, i, level, counts):
-    uniform = jax.random.uniform(_level_keys(key, problem, i, level)[0], (), float)
+    uniform = jax.random.uniform(_level_keys(key, i, level)[0], (), float)
     return jnp.searchsorted(jnp.cumsum(counts), uniform * jnp.sum(counts), side="right")
 
 
 def _places(key, problem, leaf_value, i, level, number):
-    _, key_places, key_draw = jax.random.split(_level_keys(key, problem, i, level)[1], 3)
+    _, key_places, key_draw = jax.random.split(_level_keys(key, i, level)[1], 3)
     return jax.random.uniform(key_places, (4,), float), random_index(key_draw, number)

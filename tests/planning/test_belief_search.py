@@ -17,8 +17,8 @@ from bojax.problems.particles import Particles
 from tests.planning import belief_searches
 from tests.planning.belief_searches import (
     SETTINGS,
+    BinaryDrift,
     Drift,
-    RoundedDrift,
     belief_of,
     drift,
     number,
@@ -48,6 +48,9 @@ def compare(tree, node, expected):
         if action.visits:
             index = int(tree.children[node, slot])
             np.testing.assert_allclose(tree.parameters[index], action.parameters, rtol=1e-12)
+            if action.counts is not None:
+                drawn = tree.beliefs.count[tree.branches[index, : len(action.counts)]]
+                np.testing.assert_array_equal(drawn, action.counts)
             for branch, child in enumerate(action.branches):
                 count += compare(tree, int(tree.branches[index, branch]), child)
     return count
@@ -61,10 +64,10 @@ def compare(tree, node, expected):
         ("pft", {"sensor_noise": 0.0}),  # no particle has a weight
         ("pomcpow", {}),
         pytest.param("pomcpow", {"discrete": True, "leaf_value": StateValue()}, marks=pytest.mark.slow),
-        ("pomcpow", {"problem": RoundedDrift}),  # both observations of every action
+        ("pomcpow", {"problem": BinaryDrift}),  # both observations of every action
         pytest.param(
             "pomcpow",
-            {"problem": RoundedDrift, "discrete": True, "observation_widening": (1.0, 0.1)},
+            {"problem": BinaryDrift, "discrete": True, "observation_widening": (1.0, 0.1)},
             marks=pytest.mark.slow,
         ),
     ],
@@ -232,9 +235,9 @@ def test_beliefs_without_weights_or_living_states_give_no_nan(name, published):
             assert tree.totals[ROOT, :, 0].sum() == ITERATIONS
 
 
-@pytest.mark.parametrize("name", ["pft", "pomcpow"])
-def test_a_lane_of_a_batch_is_a_search_of_its_own(name):
-    problem = drift()
+@pytest.mark.parametrize("name, kind", [("pft", Drift), ("pomcpow", Drift), ("pomcpow", BinaryDrift)])
+def test_a_lane_of_a_batch_is_a_search_of_its_own(name, kind):
+    problem = drift(kind=kind)
     keys = jax.random.split(jax.random.key(2), 3)
     beliefs = [belief_of(problem, seed=seed) for seed in range(3)]
     together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)
@@ -245,6 +248,8 @@ def test_a_lane_of_a_batch_is_a_search_of_its_own(name):
         tree = belief_searches.search(one, keys[lane], problem, belief)
         np.testing.assert_array_equal(batch.totals[lane, ..., 0], tree.totals[..., 0])
         np.testing.assert_allclose(batch.totals[lane, ..., 1], tree.totals[..., 1], rtol=1e-9, atol=1e-9)
+        if kind is BinaryDrift:
+            np.testing.assert_array_equal(batch.beliefs.count[lane], tree.beliefs.count)
 
 
 def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():

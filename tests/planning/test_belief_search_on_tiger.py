@@ -148,6 +148,7 @@ def test_branches_of_pomcpow_draw_from_the_posterior(net_hearings):
     assert np.all(np.sort(heard) == [0.0, 1.0])
     counts = np.asarray(forest.beliefs.count)[lanes, nodes]
     drawn, hears_right = counts.sum(axis=1), right_after(net_hearings) * 0.7 + 0.15
+    np.testing.assert_array_equal(drawn, forest.totals[:, ROOT, LISTEN, 0])  # every visit draws
     shares = counts[heard == 1.0] / drawn
     assert abs(shares.mean() - hears_right) < 4 * (0.25 / drawn.sum()) ** 0.5
     for side in (0, 1):

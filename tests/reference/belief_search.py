@@ -36,6 +36,7 @@ class Action:
     total: float = 0.0
     rewards: list[float] = field(default_factory=list)
     returns: list[float] = field(default_factory=list)
+    counts: list[int] | None = None  # how often the observation of each branch was drawn, where they repeat
 
     @property
     def mean(self):

@@ -51,7 +51,7 @@ class Tiger(ReadingProblem):
 
     @override
     def heuristic_value(self, state: Float[Array, "1"]) -> Float[Array, ""]:
-        # Whoever sees the tiger opens the other door every time, up to the horizon.
+        # With the tiger's place known, the best policy opens the other door at all `max_steps` steps.
         weights = self.discount ** jnp.arange(self.max_steps, dtype=self.discount.dtype)
         return jnp.maximum(self.treasure_reward, self.listen_reward) * jnp.sum(weights)
 
