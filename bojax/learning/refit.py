@@ -15,10 +15,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.refit_equations import Equations
-from bojax.learning.refit_policy import Candidates, Policy
+from bojax.learning.refit_policy import Candidates, Policy, quadratic_forms
 from bojax.learning.refit_rows import Transitions, largest_block
 from bojax.numerics.lanes import any_lane, batched_together
-from bojax.numerics.linalg import matmul, matmul_on_tensor_cores, row_sums
+from bojax.numerics.linalg import matmul, row_sums
 
 
 class Refit(eqx.Module):
@@ -97,7 +97,7 @@ class Refit(eqx.Module):
         # loop into the program.
         def visit(variances, rows, index, _):
             x = jax.vmap(features.state)(rows.next_observations)
-            return jax.lax.dynamic_update_slice_in_dim(variances, _quadratic_forms(x, forms), index[0], 0)
+            return jax.lax.dynamic_update_slice_in_dim(variances, quadratic_forms(x, forms), index[0], 0)
 
         start = jnp.zeros((len(memory.rewards), len(forms)), forms.dtype)
         variances = memory.fold(visit, start, largest_block(self.block))
@@ -206,8 +206,3 @@ class Refit(eqx.Module):
 
         loop = jnp.zeros((), jnp.int32), start, is_active
         return jax.lax.while_loop(lambda loop: any_lane(loop[2]), step, loop)[1]
-
-
-def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
-    """The quadratic form x'F x of every row x and every matrix F."""
-    return jax.vmap(lambda form: row_sums(matmul_on_tensor_cores(x, form) * x), out_axes=1)(forms)
