@@ -5,6 +5,7 @@ Sunberg and Kochenderfer, Online algorithms for POMDPs with continuous state, ac
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -30,6 +31,25 @@ Leaf = Any
 """What the value of a belief is estimated from: a tree of arrays."""
 
 
+Draw = Callable[
+    [
+        Key[Array, ""],
+        BeliefTree,
+        Float[Array, "D"],
+        Float[Array, "K"],
+        Int[Array, "B"],
+        Bool[Array, ""],
+    ],
+    tuple[Belief, Bool[Array, ""], Float[Array, "B"]],
+]
+"""Draws the observation that `expand` draws with the same key.
+
+The arguments are this key, the tree, the state, the action, the belief nodes of its branches, padded with
+`ROOT`, and whether to count the draw. Returned are the beliefs of the tree, with the draw counted; whether a
+branch has this observation; and how often the observation of each branch was drawn.
+"""
+
+
 class Expansion(eqx.Module):
     """A new branch.
 
@@ -51,8 +71,8 @@ class BeliefTreeSearch(eqx.Module):
 
     Every iteration descends from the root, at each belief node to the action that maximises
     Q + c sqrt(ln N / n), and on to a draw among the branches of that action, until progressive widening adds
-    an action or a branch. Branches are drawn uniformly, or, of a search that `joins` equal observations, in
-    proportion to how often their observation was drawn. Random numbers are functions of the key, the
+    an action or a branch. Branches are drawn uniformly, or, where equal observations share a branch, in
+    proportion to how often they were drawn. Random numbers are functions of the key, the
     iteration and the level. Loops have as many turns as the deepest lane of a batch needs: batch with
     `vmap(axis_name=LANES)`.
 
@@ -94,27 +114,9 @@ class BeliefTreeSearch(eqx.Module):
         """Score of an action without a visit, at a node with `visits`; infinity by default."""
         return jnp.asarray(jnp.inf, visits.dtype)
 
-    def joins(self, problem: Model) -> bool:
-        """Whether equal observations of an action share one branch."""
-        return False
-
-    def draw(
-        self,
-        key: Key[Array, ""],
-        problem: Model,
-        tree: BeliefTree,
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        branches: Int[Array, "B"],
-        is_counted: Bool[Array, ""],
-    ) -> tuple[Belief, Bool[Array, ""], Float[Array, "B"]]:
-        """Draw the observation that `expand` draws with the same key; only called if the search `joins`.
-
-        `branches` are the belief nodes of the action, padded with `ROOT`. Returns the beliefs of the tree, in
-        which the draw is counted if `is_counted`; whether a branch has this observation; and how often the
-        observation of each branch was drawn.
-        """
-        raise NotImplementedError
+    def draw_of(self, problem: Model) -> Draw | None:
+        """How observations are drawn if equal ones share a branch; None if every observation has its own."""
+        return None
 
     def follow(
         self,
@@ -200,7 +202,7 @@ class BeliefTreeSearch(eqx.Module):
     ) -> BeliefTree:
         key_descent, key_proposal, key_expansion, key_leaf = jax.random.split(key, 4)
         tree, end = self._descend(problem, rules, tree, key_descent, state)
-        if self.joins(problem):  # the key of the draw whose observation was new
+        if self.draw_of(problem) is not None:  # the key of the draw whose observation was new
             *_, key_expansion = _level_keys(jax.random.clone(key_descent), end.level)
 
         # A lane whose descent has ended at the horizon or with the episode computes this too; the result is
@@ -243,7 +245,7 @@ class BeliefTreeSearch(eqx.Module):
         state: Float[Array, "D"],
     ) -> tuple[BeliefTree, "_Descent"]:
         """Descend from the root until an action or a branch is added, or the simulation ends."""
-        nowhere = tree.totals.shape[0]
+        nowhere, draw = tree.totals.shape[0], self.draw_of(problem)
 
         def is_active(carry: tuple[Belief, _Descent]) -> Bool[Array, ""]:
             return any_lane(carry[1].is_active)
@@ -259,13 +261,12 @@ class BeliefTreeSearch(eqx.Module):
             action = problem.actions.decode(parameters)
             grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
             num_allowed = jnp.sum(rules.for_branches <= visits, dtype=jnp.int32)
-            if self.joins(problem):
+            if draw is not None:
                 branches = jnp.where(visits > 0.0, row(tree.branches, action_node), ROOT)
                 num_branches = jnp.sum(branches != ROOT, dtype=jnp.int32)
                 draws = num_allowed > num_branches
-                beliefs, is_known, counts = self.draw(
-                    key_draw, problem, grown, at.state, action, branches, at.is_active & draws
-                )
+                is_counted = at.is_active & draws
+                beliefs, is_known, counts = draw(key_draw, grown, at.state, action, branches, is_counted)
                 grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
                 adds = draws & ~is_known
                 branch = row(branches, _by_count(key_branch, counts))

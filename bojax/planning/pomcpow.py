@@ -1,5 +1,7 @@
 """POMCPOW: a tree whose beliefs are weighted as simulations pass (Sunberg and Kochenderfer, ICAPS 2018)."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ from typing_extensions import override
 
 from bojax.numerics.simulation_keys import random_index
 from bojax.planning.belief_planner import BeliefSearch, States
-from bojax.planning.belief_search import Expansion
+from bojax.planning.belief_search import Draw, Expansion
 from bojax.planning.belief_tree import BeliefTree, row
 from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles
@@ -62,30 +64,12 @@ class POMCPOW(BeliefSearch):
             jnp.zeros((self.num_reservoirs, state.shape[0] + 2), state.dtype),
             jnp.zeros(observation.shape, observation.dtype),
             jnp.zeros((), state.dtype),
-            jnp.zeros((), state.dtype) if self.joins(problem) else None,
+            jnp.zeros((), state.dtype) if problem.has_discrete_observations else None,
         )
 
     @override
-    def joins(self, problem: StateProblem) -> bool:
-        return problem.has_discrete_observations
-
-    @override
-    def draw(
-        self,
-        key: Key[Array, ""],
-        problem: StateProblem,
-        tree: BeliefTree,
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        branches: Int[Array, "B"],
-        is_counted: Bool[Array, ""],
-    ) -> tuple[Reservoirs, Bool[Array, ""], Float[Array, "B"]]:
-        *_, observation = _simulated(key, problem, state, action)
-        beliefs, is_branch = tree.beliefs, branches != ROOT
-        is_same = is_branch & jnp.all(beliefs.observation[branches] == observation[None], axis=1)
-        count = beliefs.count.at[branches].add((is_same & is_counted).astype(beliefs.count.dtype))
-        beliefs = eqx.tree_at(lambda all: all.count, beliefs, count)
-        return beliefs, jnp.any(is_same), jnp.where(is_branch, count[branches], 0.0)
+    def draw_of(self, problem: StateProblem) -> Draw | None:
+        return partial(_draw, problem) if problem.has_discrete_observations else None
 
     @override
     def follow(
@@ -134,7 +118,7 @@ class POMCPOW(BeliefSearch):
             jnp.broadcast_to(step[None], (self.num_reservoirs, *step.shape)),
             observation,
             _log_weight(problem, observation, state, action, next_state),
-            jnp.ones((), state.dtype) if self.joins(problem) else None,
+            jnp.ones((), state.dtype) if problem.has_discrete_observations else None,
         )
         # A terminal state ends this simulation, not the branch: others may pass with a state that goes on.
         return Expansion(belief, reward, ended, States(next_state[None], ~ended[None]))
@@ -142,6 +126,23 @@ class POMCPOW(BeliefSearch):
     @override
     def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
         return States(state[None], jnp.ones((1,), bool))
+
+
+def _draw(
+    problem: StateProblem,
+    key: Key[Array, ""],
+    tree: BeliefTree,
+    state: Float[Array, "D"],
+    action: Float[Array, "K"],
+    branches: Int[Array, "B"],
+    is_counted: Bool[Array, ""],
+) -> tuple[Reservoirs, Bool[Array, ""], Float[Array, "B"]]:
+    *_, observation = _simulated(key, problem, state, action)
+    beliefs, is_branch = tree.beliefs, branches != ROOT
+    is_same = is_branch & jnp.all(beliefs.observation[branches] == observation[None], axis=1)
+    count = beliefs.count.at[branches].add((is_same & is_counted).astype(beliefs.count.dtype))
+    beliefs = eqx.tree_at(lambda all: all.count, beliefs, count)
+    return beliefs, jnp.any(is_same), jnp.where(is_branch, count[branches], 0.0)
 
 
 def _simulated(

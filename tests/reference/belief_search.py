@@ -67,19 +67,17 @@ class Search:
         if level == self.depth:
             return self.draws.leaf_value(*self.states_at(b, state), 0)
         a = self.action_prog_widen(b)
-        is_new = a.visits == 0
-        k, alpha = self.observation_widening
-        if len(a.branches) <= k * a.visits**alpha and len(a.branches) < self.max_branches:
-            if is_new:
-                a.parameters = self.propose(b, a)
-            child, alive = self.new_branch(b, state, self.draws.decode(a.parameters), is_root=b is root)
+        if a.visits == 0:
+            a.parameters = self.propose(b, a)
+        action = self.draws.decode(a.parameters)
+        child = self.old_child(a, state, action, level)
+        if child is None:
+            child, alive = self.new_branch(b, state, action, is_root=b is root)
             a.branches.append(child)
             total = reward = child.reward
             if not child.is_terminal:
                 total += self.discount * self.draws.leaf_value(*alive, self.depth - 1 - level)
         else:
-            child = a.branches[self.draws.branch(level, len(a.branches))]
-            action = self.draws.decode(a.parameters)
             state, reward, is_terminal = self.old_branch(child, state, action, level)
             total = reward
             if not is_terminal:
@@ -89,6 +87,14 @@ class Search:
         a.rewards.append(reward)
         a.returns.append(total)
         return total
+
+    def may_add_branch(self, a):
+        k, alpha = self.observation_widening
+        return len(a.branches) <= k * a.visits**alpha and len(a.branches) < self.max_branches
+
+    def old_child(self, a, state, action, level):
+        """The branch to follow; None to add one."""
+        return None if self.may_add_branch(a) else a.branches[self.draws.branch(level, len(a.branches))]
 
     def action_prog_widen(self, b):
         if self.num_actions is not None:
@@ -157,10 +163,13 @@ class POMCPOW(Search):
         return math.inf
 
     def new_branch(self, b, state, action, is_root):
-        next_state, reward, ended, observation, likelihood = self.draws.new_step(state, action)
+        next_state, reward, ended, observation, likelihood = self.new_step(state, action)
         content = observation, likelihood, [(next_state, reward, ended)] * self.num_reservoirs
         alive = next_state[None], np.array([not ended])
         return Belief(content, reward, ended), alive
+
+    def new_step(self, state, action):
+        return self.draws.new_step(state, action)
 
     def states_at(self, b, state):
         return state[None], np.array([True])
@@ -178,46 +187,27 @@ class POMCPOW(Search):
 
 
 class JoinedPOMCPOW(POMCPOW):
-    """With observations that come again: `counts` of an action node has M(hao) for each branch."""
+    """With observations that repeat."""
 
-    def simulate(self, b, state, level, root):
-        if level == self.depth:
-            return self.draws.leaf_value(*self.states_at(b, state), 0)
-        a = self.action_prog_widen(b)
-        if a.visits == 0:
-            a.parameters, a.counts = self.propose(b, a), []
-        action = self.draws.decode(a.parameters)
-        k, alpha = self.observation_widening
-        if len(a.branches) <= k * a.visits**alpha and len(a.branches) < self.max_branches:
-            *step, observation, likelihood = self.draws.drawn(level, state, action)
-            same = [i for i, each in enumerate(a.branches) if np.array_equal(each.content[0], observation)]
+    def old_child(self, a, state, action, level):
+        if self.may_add_branch(a):
+            self.drawn = self.draws.drawn(level, state, action)
+            same = [i for i, each in enumerate(a.branches) if np.array_equal(each.content[0], self.drawn[3])]
             if not same:
-                next_state, reward, ended = step
-                a.branches.append(Belief((observation, likelihood, [tuple(step)] * self.num_reservoirs)))
-                a.counts.append(1)
-                total = reward
-                if not ended:
-                    alive = next_state[None], np.array([True])
-                    total += self.discount * self.draws.leaf_value(*alive, self.depth - 1 - level)
-                a.visits += 1
-                a.total += total
-                return total
+                a.counts = [*(a.counts or []), 1]
+                return None
             a.counts[same[0]] += 1
-        child = a.branches[self.draws.branch_by_count(level, np.array(a.counts, float))]
-        state, reward, is_terminal = self.old_branch(child, state, action, level)
-        total = reward
-        if not is_terminal:
-            total += self.discount * self.simulate(child, state, level + 1, root)
-        a.visits += 1
-        a.total += total
-        return total
+        return a.branches[self.draws.branch_by_count(level, np.array(a.counts, float))]
+
+    def new_step(self, state, action):
+        return self.drawn
 
 
 class POMCPOWWithLists(POMCPOW):
     """As published: a branch keeps all simulated steps and their weights, and draws from them by weight."""
 
     def new_branch(self, b, state, action, is_root):
-        next_state, reward, ended, observation, likelihood = self.draws.new_step(state, action)
+        next_state, reward, ended, observation, likelihood = self.new_step(state, action)
         content = observation, [likelihood], [(next_state, reward, ended)]
         return Belief(content, reward, ended), (next_state[None], np.array([not ended]))
 
