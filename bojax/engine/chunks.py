@@ -13,7 +13,10 @@ from bojax.engine.groups import StaticGroup
 from bojax.experiments.base import Experiment
 
 LANES_ON_ACCELERATOR = 4096
-"""Default maximum of lanes on an accelerator; on a CPU it is `Experiment.lanes_on_cpu`."""
+"""Default maximum of lanes on an accelerator; on a CPU it is `Experiment.lanes_on_cpu`.
+
+`Experiment.most_lanes_on_gpu` is lower where memory would not suffice.
+"""
 
 QUEUE_ON_CPU, QUEUE_ON_ACCELERATOR = 64, 4 * LANES_ON_ACCELERATOR
 """Maximum of runs in a queue.
@@ -80,9 +83,10 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
         given: Number of lanes chosen by the user; None for the default.
     """
     is_cpu = platform == "cpu"
-    limit = given or (experiment.lanes_on_cpu if is_cpu else LANES_ON_ACCELERATOR)
+    on_gpu = min(LANES_ON_ACCELERATOR, experiment.most_lanes_on_gpu or LANES_ON_ACCELERATOR)
+    limit = given or (experiment.lanes_on_cpu if is_cpu else on_gpu)
     longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else QUEUE_ON_ACCELERATOR
-    useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / LANES_ON_ACCELERATOR)
+    useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / on_gpu)
     common = QUEUES_ON_CPU if is_cpu else QUEUES_ON_ACCELERATOR
     num_queues = max(math.ceil(num_runs / longest), min(common, useful))
     queue = math.ceil(num_runs / num_queues)

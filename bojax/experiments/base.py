@@ -56,6 +56,11 @@ class Experiment(eqx.Module):
         return 16
 
     @property
+    def most_lanes_on_gpu(self) -> int | None:
+        """Largest number of lanes for which a GPU has memory; None if the default is never too large."""
+        return None
+
+    @property
     def runs_on_cpu(self) -> int:
         """Largest number of runs of a static group for which `engine.device: auto` is the CPU."""
         return 0

@@ -175,6 +175,11 @@ class LearningRun(Experiment):
 
     @property
     @override
+    def most_lanes_on_gpu(self) -> int | None:
+        return self.learner.most_lanes_on_gpu
+
+    @property
+    @override
     def runs_on_cpu(self) -> int:
         return self.learner.runs_on_cpu
 

@@ -75,6 +75,11 @@ class Learner(eqx.Module):
     block: eqx.AbstractVar[int]
 
     @property
+    def most_lanes_on_gpu(self) -> int | None:
+        """Largest number of lanes for which a GPU has memory; None if the default is never too large."""
+        return None
+
+    @property
     @abc.abstractmethod
     def exploration_weight(self) -> Float[Array, ""]:
         """Weight of exploration at scale 1: kappa, xi or epsilon."""

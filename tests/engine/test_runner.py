@@ -17,6 +17,7 @@ from bojax.engine.errors import Stopped
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
 from bojax.engine.sinks import FolderSink, MemorySink, Sink
+from bojax.learning.settings import EMUQ, RFFQ, EMUQPublished
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.tables import sort_rows
 from tests.tiers import by_tier
@@ -305,6 +306,16 @@ def test_runs_with_stragglers_narrow_on_an_accelerator(monkeypatch):
     assert choose_layout(toy(), 4000, "cpu", None).widths == (16,)
     assert choose_layout(toy(max_length=2), 4000, "gpu", None).widths == (4000,)  # all end together
     assert choose_layout(toy(max_length=1001), 8, "gpu", None).repack == 6  # of 501
+
+
+def test_memory_limits_the_lanes_of_a_gpu(monkeypatch):
+    monkeypatch.setattr(Toy, "most_lanes_on_gpu", 200)
+    layout = choose_layout(toy(), 900, "gpu", None)
+    assert (layout.queue, layout.widths) == (180, (180,))  # five queues, which several devices share
+    assert choose_layout(toy(), 900, "gpu", 300).widths == (300,)  # as the user says
+    assert choose_layout(toy(), 900, "cpu", None).widths == (16,)
+    learners = (build(schema(), "float32").most_lanes_on_gpu for schema in (EMUQ, EMUQPublished, RFFQ))
+    assert list(learners) == [800, 200, None]
 
 
 def test_a_host_steps_all_runs_of_a_queue_together(monkeypatch):
