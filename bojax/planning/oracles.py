@@ -96,9 +96,10 @@ def ping_first(problem: SubHunt, key: Key[Array, ""], belief: Particles) -> Floa
 
 
 def slow_down(problem: PomdpLander, key: Key[Array, ""], belief: Particles) -> Float[Array, "3"]:
-    """Push against the mean velocity by a tenth of it, as far as engines allow."""
+    """Push against the mean velocity by `braking_gain` times it, as far as engines allow."""
     mean = belief.mean
-    action = jnp.stack([-0.1 * mean[3], -0.1 * mean[4], jnp.zeros_like(mean[0])])
+    forces = -problem.braking_gain * mean[3:5]
+    action = jnp.stack([forces[0], forces[1], jnp.zeros_like(mean[0])])
     return jnp.clip(action, problem.action_low, problem.action_high)
 
 

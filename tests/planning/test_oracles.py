@@ -115,6 +115,6 @@ def test_ping_first():
 def test_slow_down():
     problem = build(kinds("problem")["pomdp-lander"]())
     states = np.array([[0.0, 30.0, 0.0, 2.0, -10.0, 0.0], [0.0, 30.0, 0.0, 4.0, -20.0, 0.0]])
-    np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-0.3, 1.5, 0.0])
+    np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-1.5, 7.5, 0.0])
     states[:, 3:5] = [100.0, 50.0]
     np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-5.0, 0.0, 0.0])

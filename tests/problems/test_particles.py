@@ -1,5 +1,7 @@
 """Beliefs of particles against Kalman's and Bayes's, resampling against plain Python, and collapses."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -81,6 +83,45 @@ def test_kalman_conditions_the_joint_gaussian():
     np.testing.assert_allclose(found.mean, predicted + gain @ (observation - c @ predicted))
     np.testing.assert_allclose(found.covariance, joint[:3, :3] - gain @ joint[3:, :3], atol=1e-12)
     np.testing.assert_allclose(found.entropy, 0.5 * np.log(np.linalg.det(found.covariance)))
+
+
+def test_the_gaussian_belief_of_the_lander_is_the_extended_kalman_filter():
+    lander = build(kinds("problem")["pomdp-lander"](belief_update="gaussian"))
+    define = reference.PomdpLander()
+    belief = particles.initial(lander, jax.random.key(7), 100_000)
+    action, observation = np.array([4.0, 9.0, -0.5]), np.array([46.0, 0.1, 1.2])
+    found, collapsed = eqx.filter_jit(lander.filter)(jax.random.key(8), belief, action, observation)
+    assert not collapsed
+
+    def jacobian(function, at):
+        steps = 1e-6 * np.eye(len(at))
+        return np.stack([(function(at + step) - function(at - step)) / 2e-6 for step in steps], axis=1)
+
+    def sensed(state):
+        return define.observation(action, state)[0]
+
+    start = np.asarray(belief.mean)
+    transition = jacobian(lambda state: define.step(state, action)[0], start)
+    mean, noise = define.step(start, action)
+    spread = transition @ np.asarray(belief.covariance) @ transition.T + np.diag(noise**2)
+    sensor, sensor_noise = jacobian(sensed, mean), define.observation(action, mean)[1]
+    gain = spread @ sensor.T @ np.linalg.inv(sensor @ spread @ sensor.T + np.diag(sensor_noise**2))
+    mean, covariance = mean + gain @ (observation - sensed(mean)), spread - gain @ sensor @ spread
+
+    # Drawn states, in units of the exact deviations, are independent standard normal numbers.
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (np.asarray(found.states) - mean).T)
+    np.testing.assert_allclose(whitened.mean(axis=1), 0.0, atol=5.0 / 100_000**0.5)
+    np.testing.assert_allclose(whitened @ whitened.T / 100_000, np.eye(6), atol=5.0 * (2.0 / 100_000) ** 0.5)
+
+
+def test_a_gaussian_belief_on_the_ground_has_collapsed():
+    lander = build(kinds("problem")["pomdp-lander"](belief_update="gaussian"))
+    update = eqx.filter_jit(lander.filter)
+    for height, expected in ((40.0, False), (-20.0, True)):
+        belief = particles.initial(lander, jax.random.key(9), 100)
+        belief = dataclasses.replace(belief, states=belief.states.at[:, 1].set(height + 4.0))
+        found, collapsed = update(jax.random.key(10), belief, jnp.zeros(3), jnp.array([height, 0.0, 0.0]))
+        assert bool(collapsed) is bool(jnp.all(found.terminal)) is expected
 
 
 def test_the_error_of_particles_falls_with_the_root_of_their_number():

@@ -185,12 +185,12 @@ class PomdpLander:
             return -1000.0, True
         if following[1] <= 1.0:
             return 100.0 - abs(following[0]) - following[4] ** 2, True
-        return -1.0, False
+        return -0.8, False
 
     def observation(self, action, following):
         """Mean and standard deviations of an observation."""
         mean = [following[1] / cos(following[2]), following[5], following[3]]
-        return np.array(mean), np.sqrt([1.0, 0.01, 0.1])
+        return np.array(mean), np.array([1.0, 0.01, 0.1])
 
 
 class LightDarkNd:

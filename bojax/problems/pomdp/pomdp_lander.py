@@ -1,14 +1,22 @@
 """A lunar lander with noisy sensors (Lim, Tomlin and Sunberg, 2021)."""
 
+from dataclasses import replace
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.problems import kalman
 from bojax.problems.actions import Box
+from bojax.problems.particles import Particles
 from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
 from bojax.results.outline import Outline
+
+_LEAST_VARIANCE = 1e-8
+"""Added to the variances of a Gaussian belief before it is drawn from."""
 
 
 class PomdpLander(ReadingProblem):
@@ -16,8 +24,8 @@ class PomdpLander(ReadingProblem):
 
     A state is (x, z, theta, v_x, v_z, omega). An action is the lateral force, the thrust and the offset of
     the lateral thruster. An observation is the range along the axis, the angular velocity and the
-    horizontal velocity. The published code passes `sensor_noise` and `initial_noise` as deviations to a
-    distribution that takes variances; the settings have the deviations that follow.
+    horizontal velocity. The published code passes `initial_noise` as deviations to a distribution that takes
+    variances; the settings have the deviations that follow.
 
     Settings: `bojax.problems.pomdp.settings.PomdpLander`.
     """
@@ -38,8 +46,12 @@ class PomdpLander(ReadingProblem):
     crash_reward: Float[Array, ""]
     landing_reward: Float[Array, ""]
     step_reward: Float[Array, ""]
+    braking_gain: Float[Array, ""]
     discount: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
+    belief_update: Literal["bootstrap", "gaussian"] = eqx.field(
+        static=True, default="bootstrap", kw_only=True
+    )
 
     @override
     def sketch(self, state: Float[Array, "6"]) -> dict[str, Float[Array, "2"]]:
@@ -84,6 +96,45 @@ class PomdpLander(ReadingProblem):
     def reading(self, action: Float[Array, "3"], next_state: Float[Array, "6"]) -> GaussianReading:
         distance = next_state[1] / jnp.cos(next_state[2])
         return GaussianReading(jnp.stack([distance, next_state[5], next_state[3]]), self.sensor_noise)
+
+    @override
+    def filter(
+        self,
+        key: Key[Array, ""],
+        belief: Particles,
+        action: Float[Array, "3"],
+        observation: Float[Array, "3"],
+    ) -> tuple[Particles, Bool[Array, ""]]:
+        """The bootstrap filter, or an extended Kalman filter whose belief is drawn anew at each step.
+
+        Drawn particles may be terminal. The belief has collapsed if all of them are.
+        """
+        if self.belief_update == "bootstrap":
+            return super().filter(key, belief, action, observation)
+        step_key, draw_key = jax.random.split(key)
+        silent = replace(self, velocity_noise=jnp.zeros_like(self.velocity_noise))
+
+        def move(state: Float[Array, "6"]) -> Float[Array, "6"]:
+            return silent.step(jax.random.clone(step_key), state, action)[0]
+
+        def expect(state: Float[Array, "6"]) -> Float[Array, "3"]:
+            return self.reading(action, state).mean
+
+        transition, mean = jax.jacfwd(move)(belief.mean), move(belief.mean)
+        noise = jnp.concatenate([jnp.zeros_like(self.velocity_noise), self.velocity_noise])
+        covariance = transition @ belief.covariance @ transition.T + jnp.diag(noise**2)
+        after = kalman.condition(
+            kalman.Gaussian(mean, covariance),
+            jax.jacfwd(expect)(mean),
+            jnp.diag(self.sensor_noise**2),
+            observation - expect(mean),
+        )
+        draws = jax.random.normal(draw_key, belief.states.shape, mean.dtype)
+        # Without the floor, rounding to float32 might make a small variance negative.
+        floor = _LEAST_VARIANCE * jnp.eye(mean.shape[0], dtype=mean.dtype)
+        states = after.mean[None] + draws @ jnp.linalg.cholesky(after.covariance + floor).T
+        terminal = jax.vmap(self.is_terminal)(states)
+        return Particles(states, belief.log_weights, terminal), jnp.all(terminal)
 
     @override
     def is_terminal(self, state: Float[Array, "6"]) -> Bool[Array, ""]:

@@ -130,7 +130,7 @@ class PomdpLander(StateProblemSettings, frozen=True):
         description="standard deviations added to the velocities at each step, [m/s, m/s, rad/s]",
     )
     sensor_noise: _Noises = Field(
-        default=(1.0, 0.1, sqrt(0.1)),
+        default=(1.0, 0.01, 0.1),
         description="standard deviations of range, angular and horizontal velocity, [m, rad/s, m/s]",
     )
     initial_mean: Annotated[tuple[float, ...], Field(strict=False)] = Field(
@@ -158,7 +158,16 @@ class PomdpLander(StateProblemSettings, frozen=True):
     landing_reward: float = Field(
         default=100.0, description="reward of landing, less |x| and the square of the vertical velocity"
     )
-    step_reward: float = Field(default=-1.0, description="reward of any other step")
+    step_reward: float = Field(
+        default=-0.8, description="reward of any other step; in the published program, twice the time step"
+    )
+    braking_gain: float = Field(
+        default=0.5, ge=0, description="force of the policy slow-down for each unit of velocity, N s/m"
+    )
+    belief_update: Literal["bootstrap", "gaussian"] = Field(
+        default="bootstrap",
+        description="filter: the bootstrap filter, or, as published, an extended Kalman filter",
+    )
     discount: _Discount = 0.99
     max_steps: _MaxSteps = 200
 
