@@ -159,7 +159,8 @@ class PomdpLander(StateProblemSettings, frozen=True):
         default=100.0, description="reward of landing, less |x| and the square of the vertical velocity"
     )
     step_reward: float = Field(
-        default=-0.8, description="reward of any other step; in the published program, twice the time step"
+        default=-0.8,
+        description="reward of any other step; minus twice the time step in the original program",
     )
     braking_gain: float = Field(
         default=0.5, ge=0, description="force of the policy slow-down for each unit of velocity, N s/m"
