@@ -86,6 +86,7 @@ def survey(
     sampling: float | None = None,
     robots: int = 1,
     separation: float | None = None,
+    turning_radius: float | str | None = None,
     lawnmower: bool = False,
     out: Folder | None = None,
 ) -> SurveyResult:
@@ -109,6 +110,7 @@ def survey(
         robots: Number of robots that survey at once, 1 to 4; each has the budget.
         separation: Least distance of two robots at equal times, m, but for twice as many metres from a common
             start or to a common end.
+        turning_radius: Least radius of the turns of the route, m; turns on the spot by default.
         lawnmower: Whether to compare lawnmowers only.
         out: New or empty folder; `results/survey/TIME` by default.
 
@@ -122,7 +124,7 @@ def survey(
     options = {"budget": budget, "time": time, "speed": speed, "below": below, "prior": prior}
     options |= {"goal": goal}
     options |= {"lengthscale": lengthscale, "spacing": spacing, "sampling": sampling, "out": folder}
-    options |= {"robots": robots, "separation": separation}
+    options |= {"robots": robots, "separation": separation, "turning-radius": turning_radius}
     words = [f"--{option}={value}" for option, value in options.items() if value is not None]
     for option, given in (("start", start), ("end", end)):
         points = np.empty((0, 2)) if given is None else np.atleast_2d(np.asarray(given, float))

@@ -35,14 +35,19 @@ class Transfers:
     shortened by line of sight instead: they are a few per cent longer than the shortest.
     """
 
-    def __init__(self, shape: "BaseGeometry"):
-        """Prepare the paths in `shape`; paths may run along its border."""
+    def __init__(self, shape: "BaseGeometry", clearance: float = 0.0):
+        """Prepare the paths in `shape`; paths may run along its border.
+
+        With a clearance, they bend at least so far from it, m, where there is room for that.
+        """
         shapely = shapely_module()
         x_min, y_min, x_max, y_max = shape.bounds
         self._tolerance = max(1e-9 * max(x_max - x_min, y_max - y_min), 1e-6)  # as of `check_inside`
         self._shape = shape.buffer(self._tolerance)
         shapely.prepare(self._shape)
-        self._simple = shape
+        self._simple = shape.buffer(-clearance, quad_segs=2) if clearance > 0.0 else shape
+        self._reach = self._tolerance + 2.0 * clearance  # of a triangle
+        self._otherwise = Transfers(shape) if clearance > 0.0 else None
 
     def are_clear(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the shape."""
@@ -60,6 +65,8 @@ class Transfers:
             return np.stack([first, last])
         is_small = len(self._corners) <= MOST_CORNERS
         path = self._seen(first, last) if is_small else self._shortened(first, last)
+        if path is None and self._otherwise is not None:
+            return self._otherwise.path(first, last)
         if path is None:
             raise ValueError(f"no path in the area joins {_shown(first)} and {_shown(last)}")
         return path
@@ -84,7 +91,7 @@ class Transfers:
 
     def _shortened(self, first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
         """A way along edges of triangles, from each waypoint of which the next is the last in sight."""
-        way = self._triangles.way(first, last, self._tolerance)
+        way = self._triangles.way(first, last, self._reach)
         if way is None:
             return None
         kept = [0]

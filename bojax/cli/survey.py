@@ -73,8 +73,9 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
                 model = learned_model(args.prior, place, args.lengthscale)
             goal = _goal(args.goal, place)
             demand = Demand(
-                budget, start, end, args.spacing, args.sampling, goal, args.robots, args.separation
-            )
+                budget, start, end, args.spacing, args.sampling, goal, args.robots, args.separation,
+                args.turning_radius,
+            )  # fmt: skip
             survey = plan_survey(place.area, model, demand, optimises=not args.lawnmower)
         except ValueError as error:
             raise UsageError(one_line(error)) from error
@@ -150,7 +151,7 @@ def _parser(name: str) -> Parser:
         "                    [--avoid FILE]... [--below V] [--prior FILE] [--lengthscale LENGTH]\n"
         "                    [--goal map|hotspots|threshold=V|region=FILE] [--spacing LENGTH]\n"
         "                    [--sampling LENGTH] [--robots N] [--separation LENGTH]\n"
-        "                    [--lawnmower] [--out DIR]",
+        "                    [--turning-radius LENGTH] [--lawnmower] [--out DIR]",
         _DESCRIPTION,
         _EXAMPLES,
     )
@@ -182,6 +183,8 @@ def _parser(name: str) -> Parser:
     parser.option("--spacing", "LENGTH", lines, _length)
     sampling = "distance between two measurements (default: a fifth of the lengthscale)"
     parser.option("--sampling", "LENGTH", sampling, _length)
+    turns = "least radius of the turns of the route (default: turns on the spot)"
+    parser.option("--turning-radius", "LENGTH", turns, _length, default=0.0)
     parser.flag("--lawnmower", "compare lawnmowers only, and optimise no route")
     parser.option("--out", "DIR", "new or empty folder (default: results/survey/TIME)", path)
     return parser

@@ -13,6 +13,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.linalg import matmul
 from bojax.surveys.information import PointErrors, path_length, points_at, samples_of_all
 
+SAVED = 0.9  # share of the length that arcs save which is used: the rest is for changes of the turns
 EXACT = 1.0 - 1e-12  # share of the budget that is used, so that rounding does not exceed it
 
 
@@ -150,9 +151,31 @@ class Limits(eqx.Module):
         if self.distance is not None:
             lacking = jnp.maximum(self.clearance - self.distance(points), 0.0)
             total = total + jnp.sum(lacking**2) / step**2
-        bend = jnp.sum((points[2:] - 2.0 * points[1:-1] + points[:-2]) ** 2, axis=-1) / step**4
-        excess = jnp.maximum(bend * self.turning_radius**2 - 1.0, 0.0)
-        return total + jnp.mean(excess)
+        return total + jnp.sum(_lacking(route, self.turning_radius) ** 2) / step**2
+
+
+def _half_tangents(route: Float[Array, "W 2"]) -> tuple[Float[Array, "W-2"], Float[Array, "W-1"]]:
+    """Tangents of half of the turns, nearly as in `bojax.surveys.turns`, and lengths of legs.
+
+    The tangents are bounded, and have gradients in straight lines.
+    """
+    legs = jnp.diff(route, axis=0)
+    lengths = jnp.sqrt(jnp.sum(legs**2, axis=-1) + jnp.finfo(route.dtype).tiny)
+    cosine = jnp.sum(legs[1:] * legs[:-1], axis=-1) / (lengths[1:] * lengths[:-1])
+    return jnp.sqrt(jnp.maximum(1.0 - cosine, 0.0) / (1.01 + cosine) + 1e-6) - 1e-3, lengths
+
+
+def _lacking(route: Float[Array, "W 2"], radius: Float[Array, ""]) -> Float[Array, "W-1"]:
+    """The length that each leg lacks for the arcs at its ends, m."""
+    tangents, lengths = _half_tangents(route)
+    tangents = jnp.pad(tangents, 1)
+    return jnp.maximum(radius * (tangents[1:] + tangents[:-1]) - lengths, 0.0)
+
+
+def saved_by_arcs(route: Float[Array, "W 2"], radius: Float[Array, ""]) -> Float[Array, ""]:
+    """Most of the length by which arcs at the corners of a route are shorter than its legs, m."""
+    tangents, _ = _half_tangents(route)
+    return SAVED * jnp.sum(2.0 * radius * (tangents - jnp.arctan(tangents)))
 
 
 @eqx.filter_jit
@@ -195,7 +218,11 @@ def descend(
 
     def drawn_in(points: Float[Array, "K W 2"]) -> Float[Array, "K W 2"]:
         together = zip(points, ends, budgets, strict=True)
-        return jnp.stack([within_budget(each, fixed, own) for each, fixed, own in together])
+        routes = [within_budget(each, fixed, own) for each, fixed, own in together]
+        # Arcs at the corners leave some of the budget.
+        left = [saved_by_arcs(route, limits.turning_radius) for route in routes]
+        together = zip(points, ends, budgets, left, strict=True)
+        return jnp.stack([within_budget(each, fixed, own + more) for each, fixed, own, more in together])
 
     def loss(points: Float[Array, "K W 2"], step: Int[Array, ""]) -> Scalar:
         routes = drawn_in(points)
@@ -203,7 +230,10 @@ def descend(
         error = models.error(step % num_models, samples, is_taken, samples_per_point)
         # Waypoints beyond the budget are drawn in; the second penalty keeps them from running away.
         lengths = jnp.stack(
-            [path_length(fixed.fixed(each)) for each, fixed in zip(points, ends, strict=True)]
+            [
+                path_length(fixed.fixed(each)) - saved_by_arcs(route, limits.turning_radius)
+                for each, route, fixed in zip(points, routes, ends, strict=True)
+            ]
         )
         excess = jnp.sum(jnp.maximum(lengths / budget - 1.0, 0.0) ** 2)
         scale = models.errors.variance.mean() ** 0.5

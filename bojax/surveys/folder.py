@@ -13,6 +13,7 @@ from bojax.surveys.model import FieldModel
 from bojax.surveys.planning import Candidate, Demand, Survey
 from bojax.surveys.simulated import robot_stem, write_simulation
 from bojax.surveys.team import FAN, least_distance
+from bojax.surveys.turns import least_radius
 from bojax.surveys.waypoints import write_waypoints
 
 
@@ -51,7 +52,7 @@ def write_survey(
     content = {
         "area": place.name,
         "rule": "Best is the least error."
-        if demand.budget is not None
+        if demand.budget is not None or demand.turning_radius
         else "All cover the area: best is the shortest.",
         "goal": {"kind": demand.goal.kind, "meaning": demand.goal.meaning},
         "grid_spacing": survey.grid_spacing,
@@ -94,6 +95,14 @@ def _settings(
         )
     if survey.lines is not None:
         rows["distance between lines"] = f"{survey.lines:.4g} m"
+    if demand.turning_radius:
+        least = min(map(least_radius, chosen.routes))
+        rows["turning radius"] = f"{demand.turning_radius:g} m; the tightest turn has {least:.4g} m"
+        if survey.lines is not None:
+            missed = 100.0 * survey.missed
+            rows["left out for the turns"] = (
+                f"{missed:.2g}% of the area is farther from the route than a line"
+            )
     if speed is not None:
         rows["duration"] = f"{chosen.length / speed / 60:.1f} min at {speed:g} m/s"
     for number, note in enumerate(place.notes, start=1):

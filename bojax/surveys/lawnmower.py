@@ -5,6 +5,7 @@ merge. Between two such events a piece sweeps a cell, which is driven to and fro
 after the other, by shortest paths around holes.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from bojax.areas.area import Area, edges_of
 from bojax.areas.shapes import polygons_of, rings_of, shapely_module, to_shape
 from bojax.areas.transfers import Transfers, Ways
 from bojax.surveys.polylines import driven_at, length_of
+from bojax.surveys.turns import drivable
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -35,13 +37,15 @@ class Ground:
     Attributes:
         shape: Its polygon.
         transfers: Shortest paths in it.
+        turning_radius: Least radius of the turns of routes in it, m; 0 for turns on the spot.
     """
 
     shape: "BaseGeometry"
     transfers: Transfers
+    turning_radius: float = 0.0
 
     @classmethod
-    def of(cls, area: Area, near: np.ndarray | None = None) -> "Ground":
+    def of(cls, area: Area, near: np.ndarray | None = None, turning_radius: float = 0.0) -> "Ground":
         """The part of an area that contains the point `near`, by default the largest part.
 
         Raises:
@@ -55,7 +59,7 @@ class Ground:
             parts = [part for part in parts if shapely.dwithin(part, shapely.Point(near), 1e-6)]
             if not parts:
                 raise ValueError(f"({near[0]:.6g}, {near[1]:.6g}) is not in the area")
-        return cls(parts[0], Transfers(parts[0]))
+        return cls(parts[0], Transfers(parts[0], turning_radius), turning_radius)
 
     @property
     def rings(self) -> list[np.ndarray]:
@@ -84,25 +88,28 @@ def lawnmower(
         angle: Direction of the lines, counter-clockwise from x, rad.
         start: First point of the route; free if None.
         end: Last point of the route; free if None.
-        inset: Whether lines stop half a spacing before the border, or at it.
+        inset: Whether lines stop half a spacing before the border, or at it; with a turning radius, this far
+            before it.
 
     Returns:
         Waypoints `[W, 2]`, m.
 
     Raises:
         ValueError: The spacing is not positive, or for too many lines, or an end is not in the area.
+        TooTight: The turning radius of the ground does not allow such a route.
     """
     if not spacing > 0 or not math.isfinite(spacing):
         raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
     ground = area if isinstance(area, Ground) else Ground.of(area, start if start is not None else end)
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     rings = [ring[:-1] @ turn.T for ring in ground.rings]
-    cells = [[line @ turn for line in cell] for cell in _cells(rings, spacing, inset)]
-    legs = _in_order([_ways(cell) for cell in cells], start, end)
+    found, between = _cells(rings, spacing, None if inset else ground.turning_radius)
+    cells = [[line @ turn for line in cell] for cell in found]
+    legs = _in_order([_ways(cell, between, ground.turning_radius) for cell in cells], start, end)
     stops = [np.asarray(start, float)[None]] if start is not None else []
     stops += legs
     stops += [np.asarray(end, float)[None]] if end is not None else []
-    return joined(stops, ground.transfers)
+    return _turned(joined(stops, ground.transfers), ground)
 
 
 def lawnmowers_within(
@@ -129,6 +136,7 @@ def lawnmowers_within(
 
     Raises:
         ValueError: The budget does not reach from the start to the end.
+        TooTight: The turning radius of the ground does not allow any.
     """
     check_budget(ground, budget, start, end)
     # Lines of this distance are as long as the budget, but for the way between them.
@@ -136,16 +144,27 @@ def lawnmowers_within(
     x_min, y_min, x_max, y_max = ground.shape.bounds
     spacing = max(spacing, 1.01 * math.hypot(x_max - x_min, y_max - y_min) / MOST_LINES)
     powers = [typical * 1.06**power for power in range(-8, 28)]
-    denser = None
+    denser = whole = None
     for distance in [spacing, *powers] if spacing > powers[0] else powers:
         if distance < spacing:
             continue
-        route = lawnmower(ground, distance, angle, start, end, inset=True)
+        try:
+            route = lawnmower(ground, distance, angle, start, end, inset=True)
+        except TooTight:
+            continue
         if length_of(route) <= budget:
-            return [route] if denser is None else [route, cut(denser, budget, end, ground.transfers)]
+            whole = route
+            break
         denser = route
-    assert denser is not None
-    return [cut(denser, budget, end, ground.transfers)]
+    routes = [] if whole is None else [whole]
+    if denser is not None:
+        try:
+            routes.append(_turned(cut(denser, budget, end, ground.transfers), ground))
+        except TooTight:  # at the beginning of the way to the end
+            pass
+    if not routes:
+        raise TooTight(ground.turning_radius)
+    return routes
 
 
 def check_budget(
@@ -170,8 +189,33 @@ def too_small(budget: float, shortest: float) -> ValueError:
     return ValueError(f"budget: got {budget:.6g} m, but {between}")
 
 
-def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np.ndarray]]:
-    """Cells of parallel lines to x, each a list of pieces `[2, 2]` from the lowest y."""
+class TooTight(ValueError):
+    """No route of a kind turns as widely as it must."""
+
+    def __init__(self, radius: float):
+        """Name the radius, m, and what would help."""
+        super().__init__(
+            f"turning radius: got {radius:g} m, with which no lawnmower stays in the area; allowed: a "
+            f"smaller one, or lines at least {2 * radius:g} m apart"
+        )
+
+
+def _turned(route: np.ndarray, ground: Ground) -> np.ndarray:
+    """The route with turns of the radius of the ground.
+
+    Raises:
+        TooTight: It leaves too little room for them.
+    """
+    turned = drivable(route, ground.turning_radius)
+    if turned is None or not (turned is route or ground.transfers.are_clear(turned[:-1], turned[1:]).all()):
+        raise TooTight(ground.turning_radius)
+    return turned
+
+
+def _cells(
+    rings: list[np.ndarray], spacing: float, headland: float | None
+) -> tuple[list[list[np.ndarray]], float]:
+    """Cells of parallel lines to x, each a list of pieces `[2, 2]` from the lowest y, and their distance."""
     corners = np.concatenate(rings)
     low, high = corners[:, 1].min(), corners[:, 1].max()
     number = max(1, math.ceil((high - low) / spacing - 1e-9))
@@ -180,6 +224,8 @@ def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np
         raise ValueError(
             f"spacing: got {spacing:g} m, {number:,} lines; allowed: at least {least:.3g} m here"
         )
+    between = (high - low) / number
+    headland = between / 2.0 if headland is None else headland
     heights = low + (np.arange(number) + 0.5) * (high - low) / number
     edges = edges_of(rings)
     done: list[list[np.ndarray]] = []
@@ -192,7 +238,7 @@ def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np
         now = []
         for index, piece in enumerate(pieces):
             # A short line keeps half of its length.
-            gap = min(0.5 * (high - low) / number, 0.25 * (piece[1] - piece[0])) if inset else 0.0
+            gap = min(headland, 0.25 * (piece[1] - piece[0]))
             line = np.array([[piece[0] + gap, y], [piece[1] - gap, y]])
             before = np.flatnonzero(touches[:, index])
             goes_on = len(before) == 1 and touches[before[0]].sum() == 1
@@ -202,7 +248,7 @@ def _cells(rings: list[np.ndarray], spacing: float, inset: bool) -> list[list[np
             cell.append(line)
             now.append((piece, cell))
         growing = now
-    return done
+    return done, between
 
 
 def _pieces(edges: tuple[np.ndarray, np.ndarray], y: float) -> list[np.ndarray]:
@@ -215,15 +261,30 @@ def _pieces(edges: tuple[np.ndarray, np.ndarray], y: float) -> list[np.ndarray]:
     return list(np.sort(crossings).reshape(-1, 2))
 
 
-def _ways(cell: list[np.ndarray]) -> list[np.ndarray]:
+def _ways(cell: list[np.ndarray], spacing: float, turning_radius: float) -> list[np.ndarray]:
     """The four ways to drive a cell to and fro: from the first or the last line, from either side."""
     ways = []
+    order = _apart(len(cell), math.ceil(2.0 * turning_radius / spacing - 1e-9))
     for lines in (cell, cell[::-1]):
         for side in (0, 1):
-            ways.append(
-                np.concatenate([line[:: 1 if (i + side) % 2 == 0 else -1] for i, line in enumerate(lines)])
-            )
+            driven = [lines[index][:: 1 if (i + side) % 2 == 0 else -1] for i, index in enumerate(order)]
+            ways.append(np.concatenate(driven))
     return ways
+
+
+def _apart(number: int, least: int) -> list[int]:
+    """An order of lines in which the next one is at least `least` lines away, if there are enough for one.
+
+    In a block of 2 k + 1 lines, the next one is in turn k + 1 lines ahead and k lines back.
+    """
+    if least <= 1:
+        return list(range(number))
+    order, size = [], 2 * least + 1
+    for begin in range(0, max(number - size, 0) + 1, size):
+        block = list(range(begin, begin + size if begin + 2 * size <= number else number))
+        half = (len(block) + 1) // 2
+        order += [line for pair in itertools.zip_longest(block[:half], block[half:]) for line in pair]
+    return [line for line in order if line is not None]
 
 
 def _in_order(

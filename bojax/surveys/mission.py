@@ -586,6 +586,7 @@ class Mission:
             np.array([leg.entry for leg in legs]),
             np.array(ends) if ends else None,
             robots=len(legs),
+            turning_radius=self.options.turning_radius,
         )
         try:
             return {**lawnmower_guesses(

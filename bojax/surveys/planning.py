@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import KDTree
 
 from bojax.areas.area import Area
 from bojax.areas.shapes import shapely_module, to_shape
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
-from bojax.surveys.lawnmower import DIRECTIONS, Ground, check_budget
+from bojax.surveys.lawnmower import DIRECTIONS, Ground, TooTight, check_budget
 from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import NUM_GRID, RouteOptions, counted_points, plan_routes
@@ -83,6 +84,7 @@ class Demand:
         goal: What the survey is for.
         robots: Number of robots.
         separation: Least distance of two robots that have driven equally far, m, as of `plan_routes`.
+        turning_radius: Least radius of turns, m; 0 for turns on the spot.
     """
 
     budget: float | None = None
@@ -93,6 +95,7 @@ class Demand:
     goal: Goal = field(default_factory=Goal)
     robots: int = 1
     separation: float = 0.0
+    turning_radius: float = 0.0
 
     @property
     def starts(self) -> list[np.ndarray | None]:
@@ -141,6 +144,17 @@ class Survey:
         """The best lawnmower."""
         return next(each for each in self.candidates if each.method == "lawnmower")
 
+    @property
+    def missed(self) -> float:
+        """Share of the area that is farther from the proposed route than two lines are from each other."""
+        assert self.lines is not None
+        step = self.grid_spacing / 4.0
+        routes = [
+            points_along(each, np.arange(0.0, length_of(each) + step, step)) for each in self.chosen.routes
+        ]
+        distance, _ = KDTree(np.concatenate(routes)).query(self.grid)
+        return float(np.mean(distance > self.lines))
+
 
 def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool = True) -> Survey:
     """The candidate after which the model expects the least error, with all others.
@@ -155,10 +169,11 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
         optimises: Whether to look for a better route than the lawnmowers.
 
     Raises:
-        ValueError: The ends cannot be reached within the budget, or are not in the area.
+        ValueError: The ends cannot be reached within the budget, or are not in the area, or no lawnmower
+            has turns of the radius.
     """
     known = [end for end in (*demand.starts, *demand.ends) if end is not None]
-    ground = Ground.of(area, known[0] if known else None)
+    ground = Ground.of(area, known[0] if known else None, demand.turning_radius)
     if demand.budget is not None:
         for start, end in zip(demand.starts, demand.ends, strict=True):
             check_budget(ground, demand.budget, start, end)
@@ -177,8 +192,9 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     errors = PointErrors.of(belief, jnp.asarray(grid), jnp.asarray(weights))
     outcomes = _Outcomes(errors, sampling, demand.budget or longest, demand.robots)
     found = [outcomes.of("lawnmower", detail, route) for detail, route in routes]
-    # Without a budget every candidate covers the area: the shortest one is the best.
-    found.sort(key=lambda each: each[0].length if demand.budget is None else each[0].error)
+    # Without a budget every candidate covers the area: the shortest one is the best. Turns may leave gaps.
+    by_length = demand.budget is None and demand.turning_radius == 0.0
+    found.sort(key=lambda each: each[0].length if by_length else each[0].error)
     if optimises and demand.budget is not None:
         guesses = [candidate for candidate, _ in found[:NUM_GUESSES]]
         apart = counting.size / (demand.budget * demand.robots)
@@ -222,7 +238,7 @@ def lawnmower_guesses(
         ValueError: The budget does not reach from the start to the end.
     """
     assert demand.budget is not None
-    ground = Ground.of(area, demand.starts[0])
+    ground = Ground.of(area, demand.starts[0], demand.turning_radius)
     ground = ground if region is None else ground_within(ground, region)
     errors = PointErrors.of(posterior, jnp.asarray(counted_points(area, region, NUM_GRID)))
     outcomes = _Outcomes(errors, sampling, demand.budget, demand.robots)
@@ -247,7 +263,7 @@ def _optimised(
     corners = max(len(route) for guess in guesses for route in guess.routes)
     # Multiples of 16, since each number of waypoints compiles a program of its own.
     waypoints = int(np.clip(16 * math.ceil(corners / 16), 48, MOST_WAYPOINTS))
-    options = RouteOptions(waypoints=waypoints)
+    options = RouteOptions(waypoints=waypoints, turning_radius=demand.turning_radius)
     # Between lines that are further apart than the lengthscale, nothing is learned, whatever the route,
     # unless the field varies over longer distances: it is for such fields that the gaps are chosen.
     low, high = options.stretch
@@ -278,7 +294,7 @@ def ground_within(ground: Ground, region: Area) -> Ground:
     shape = shapely_module().intersection(ground.shape, to_shape(region))
     if shape.area <= 1e-9 * ground.size:
         raise ValueError("region: no part of it is in the part of the area that is surveyed")
-    return Ground(shape, ground.transfers)
+    return dataclasses.replace(ground, shape=shape)
 
 
 class _Outcomes:
@@ -318,20 +334,21 @@ def _lawnmowers(
 ) -> tuple[list[tuple[str, list[np.ndarray]]], float | None]:
     """Lawnmowers of all robots by direction, and the distance of lines without a budget."""
     lines = None if demand.budget is not None else demand.spacing or lengthscale
-    routes = []
+    routes, too_tight = [], None
     for index in range(DIRECTIONS):
         angle = math.pi * index / DIRECTIONS
         detail = f"lines at {180 * index / DIRECTIONS:g}\N{DEGREE SIGN}"
-        found = team_lawnmowers(
-            ground,
-            demand.robots,
-            angle,
-            demand.starts,
-            demand.ends,
-            demand.budget,
-            lines or demand.spacing or 0.0,
-        )
+        spacing = lines or demand.spacing or 0.0
+        try:
+            found = team_lawnmowers(
+                ground, demand.robots, angle, demand.starts, demand.ends, demand.budget, spacing
+            )
+        except TooTight as error:
+            too_tight = error
+            continue
         routes += [(detail if i == 0 else f"{detail}, cut", together) for i, together in enumerate(found)]
+    if not routes and too_tight is not None:
+        raise too_tight
     return routes, lines
 
 

@@ -21,12 +21,13 @@ def points_along(route: Waypoints, distances: np.ndarray) -> Waypoints:
     return np.stack([np.interp(distances, driven, route[:, axis]) for axis in (0, 1)], axis=-1)
 
 
-def with_waypoints(route: Waypoints, number: int) -> Waypoints:
+def with_waypoints(route: Waypoints, number: int, evenly: bool = False) -> Waypoints:
     """The same polyline with `number` waypoints, if it has fewer: its longest pieces are divided.
 
-    A polyline with more is replaced by `number` points at equal distances along it.
+    A polyline with more, or any one if they are to be even, is replaced by `number` points at equal distances
+    along it.
     """
-    if len(route) > number:
+    if evenly or len(route) > number:
         return points_along(route, np.linspace(0.0, length_of(route), number))
     lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
     parts = np.ones(len(lengths), int)

@@ -18,7 +18,9 @@ from bojax.surveys.descent import Ends, Limits, Models, descend
 from bojax.surveys.guesses import parallel_lines, tour
 from bojax.surveys.polylines import Waypoints, driven_at, length_of, points_along, with_waypoints
 from bojax.surveys.team import keep_separation, split_points
+from bojax.surveys.turns import drivable
 
+MARGIN = 1.05  # of the turning radius while routes are descended, as limits are penalties there
 ROUNDING = 1e-9  # share of a length that may be exceeded by rounding
 NUM_SAMPLES = 100  # of a route while it is descended; each stands for several measurements, or a part of one
 NUM_GRID, NUM_SCORED = 400, 1200  # points at which the error counts in the descent, and in the final choice
@@ -38,7 +40,7 @@ class RouteOptions:
         stretch: Range of their lengthscales, relative to the given ones. With a longer upper end, places far
             from the route count more: it leaves no large gaps, and covers less densely.
         anisotropy: Largest ratio of the lengthscales of two directions, relative to the given ones.
-        turning_radius: Least radius of turns, m; 0 for any. It is a penalty of the descent, not a guarantee.
+        turning_radius: Least radius of turns, m; 0 for any.
     """
 
     waypoints: int = 48
@@ -196,10 +198,12 @@ def plan_routes(
         for pair in zip(starts, ends, strict=True)
     ]
     distance = jax.tree.map(lambda leaf: leaf.astype(dtype), DistanceGrid.of(area, size / 200))
-    limits = (size / 200, options.turning_radius, separation)
+    limits = (size / 200, MARGIN * options.turning_radius, separation)
     limits = Limits(distance, *(jnp.asarray(x, dtype) for x in limits))
+    # The waypoints of turns along arcs would leave few for the lines between them.
+    evenly = options.turning_radius > 0.0
     first = np.stack(
-        [[with_waypoints(each, options.waypoints) for each in guess] for guess in guesses.values()]
+        [[with_waypoints(each, options.waypoints, evenly) for each in guess] for guess in guesses.values()]
     )
     step, rate = (jnp.asarray(x, dtype) for x in (max(budgets) / number, options.rate * size))
     routes = descend(
@@ -215,18 +219,21 @@ def plan_routes(
         rate,
     )
     found = {f"optimised from {name}": list(np.asarray(r)) for name, r in zip(guesses, routes, strict=True)}
-    candidates = {
-        name: together
-        for name, together in (given | found).items()
-        if all(
-            length_of(each) <= own * (1.0 + ROUNDING) and stays_inside(each, area)
-            for each, own in zip(together, budgets, strict=True)
-        )
-    }
+    candidates = {}
+    for name, together in (given | found).items():
+        turned = [drivable(each, options.turning_radius) for each in together]
+        driven = [
+            each
+            for each, own in zip(turned, budgets, strict=True)
+            if each is not None and length_of(each) <= own * (1.0 + ROUNDING) and stays_inside(each, area)
+        ]
+        if len(driven) == len(together):
+            candidates[name] = driven
     if not candidates:
+        turns = f" with turns of {options.turning_radius:g} m" if options.turning_radius else ""
         raise ValueError(
-            f"route: none of {len(found)} routes of {max(budgets):g} m stays in the area; allowed: a larger "
-            f"budget, or a first guess that does"
+            f"route: none of {len(found)} routes of {max(budgets):g} m{turns} stays in the area; allowed: "
+            f"{'a smaller turning radius, ' if turns else ''}a larger budget, or a first guess that does"
         )
     if separation > 0.0:
         candidates = {

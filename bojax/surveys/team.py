@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,7 +47,7 @@ def parts_of(ground: Ground, number: int, angle: float) -> list[Ground]:
             is_too_low = between(low, height).area < share * ground.size
             bottom, top = (height, top) if is_too_low else (bottom, height)
         edges.append((bottom + top) / 2)
-    return [Ground(between(*pair), ground.transfers) for pair in itertools.pairwise([*edges, high])]
+    return [replace(ground, shape=between(*pair)) for pair in itertools.pairwise([*edges, high])]
 
 
 def team_lawnmowers(

@@ -20,6 +20,7 @@ from bojax.report.surveying import _distance, survey_summary  # noqa: E402
 from bojax.surveys import model, planning, simulated  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
+from bojax.surveys.turns import least_radius  # noqa: E402
 from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
 from tests.fields.test_raster_files import write_tif  # noqa: E402
 from tests.transcript import cases  # noqa: E402
@@ -190,6 +191,10 @@ MISTAKES = """\
 => --robots: got two; allowed: an integer
 100x100 --robots 3 --start 1,1 --start 2,2
 => --start: got 2 points; allowed: one, or 3, one for each robot
+100x100 --turning-radius 60
+=> turning radius: got 60 m, with which no lawnmower stays in the area; allowed: a smaller one, or lines
+100x100 --turning-radius -1
+=> --turning-radius: got -1; allowed: a number > 0
 100x100 --goal depth
 => --goal: got depth; allowed: map, hotspots, threshold=V or region=
 100x100 --goal threshold=deep
@@ -326,6 +331,17 @@ def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
         found, steps = (pq.read_table(runs / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
         assert found["success"] == [True] and found["collisions"] == [0] and found["exits"] == [0]
         assert max(steps["distance"]) <= 500.0 + 1e-6
+
+
+@pytest.mark.parametrize("plan", ["--budget 700", "--spacing 30"])
+def test_the_turns_that_are_written_have_the_radius(tmp_path, plan):
+    out = tmp_path / "out"
+    area = write_ascii(tmp_path / "a.asc")
+    assert main(["survey", area, *plan.split(), "--turning-radius", "6m", "--out", str(out)]) == 0
+    assert least_radius(route_in(out)) > 5.95  # written to a millimetre
+    settings = json.loads((out / "survey.json").read_text())["settings"]
+    assert settings["turning radius"].startswith("6 m; the tightest turn has 6")
+    assert ("left out for the turns" in settings) == (plan == "--spacing 30")
 
 
 def test_what_a_survey_does_not_use_is_noted(tmp_path, capsys):
