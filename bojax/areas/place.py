@@ -25,7 +25,25 @@ if TYPE_CHECKING:
 MOST_CELLS = 1_000_000
 """Cells of a raster; larger ones are thinned."""
 
+MOST_DRAWN = 20_000
+"""Values of a file that are drawn."""
+
 _SIZE = re.compile(r"([\d.eE+]+)\s*(k?m)?\s*x\s*([\d.eE+]+)\s*(k?m)?")
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """What was read from a file, or an even part of it, to be drawn.
+
+    Attributes:
+        file: Its name.
+        points: Positions `[N, 2]`, m.
+        values: Values `[N]`.
+    """
+
+    file: str
+    points: np.ndarray
+    values: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +55,14 @@ class Place:
         area: The area, in the frame of `projection`.
         projection: The frame.
         notes: What a user should know of how it was read, a sentence each.
+        values: The values of a raster.
     """
 
     name: str
     area: Area
     projection: Projection
     notes: tuple[str, ...] = ()
+    values: Values | None = None
 
     def point(self, given: Sequence[float], name: str) -> np.ndarray:
         """A point of the area given in the coordinates of its file, in metres.
@@ -134,6 +154,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         hint = f" (ogr2ogr area.geojson {area} converts it)" if suffix in shapes else ""
         raise ValueError(f"area: got {area}; allowed: {allowed}{hint}")
     notes: list[str] = []
+    raster = None
     try:
         if suffix in polygons.SUFFIXES:
             if below is not None:
@@ -149,6 +170,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         x_min, y_min, x_max, y_max = shape.bounds
         projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max))
         local = _moved(shape, lambda points: projection.from_other(points, crs))
+        values = None if raster is None else values_of(area, raster, projection)
     except ValueError as error:
         raise ValueError(_after(area, error)) from error
     if projection.distortion > TOLERANCE:
@@ -156,7 +178,13 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
             f"{area}: is so large that distances from west to east are off by up to "
             f"{100 * projection.distortion:.0f}% in its north and south."
         )
-    return Place(area, to_area(local), projection, tuple(notes))
+    return Place(area, to_area(local), projection, tuple(notes), values)
+
+
+def values_of(file: str, raster: Raster, projection: Projection) -> Values:
+    """The values of a raster, in the frame of a projection; few enough to be drawn."""
+    points, values = raster.thinned(MOST_DRAWN).cells
+    return Values(file, projection.from_other(points, raster.crs), values)
 
 
 @lru_cache(maxsize=8)

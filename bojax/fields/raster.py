@@ -50,6 +50,15 @@ class Raster:
         """`(x_min, y_min, x_max, y_max)` of the outermost cell centres."""
         return float(self.x[0]), float(self.y[0]), float(self.x[-1]), float(self.y[-1])
 
+    @property
+    def cells(self) -> "tuple[np.ndarray, np.ndarray]":
+        """Centres `[N, 2]` of the cells with data, and their values `[N]`."""
+        import numpy as np
+
+        x, y = np.meshgrid(self.x, self.y)
+        has_data = ~self.is_hole
+        return np.stack([x[has_data], y[has_data]], axis=1), self.values[has_data]
+
     def thinned(self, most: int) -> "Raster":
         """The raster, or every nth row and column of it so that at most `most` cells remain."""
         step = thinning(self.values.shape, most)

@@ -37,13 +37,15 @@ def build_survey_page(folder: Path) -> Path:
         }
         if survey["goal"]["kind"] in ("hotspots", "threshold"):
             plates["goal"] = _draw_goal(survey, maps).encoded()
+        for index, file in enumerate(survey["read"]):
+            plates[f"read-{index + 1}"] = _draw_read(maps, file, maps[f"read_{index}"]).encoded()
     style.write_images(folder, {name: plate.files for name, plate in plates.items()})
     page = fill(
         "survey.html.j2",
         title=f"Survey of {survey['area']}",
         summary=_summary(survey),
         counts=[],
-        plates=list(plates.values()),
+        plates=plates,
         candidates=_table(survey),
         settings=list(survey["settings"].items()),
         provenance=list(survey["provenance"].items()),
@@ -127,11 +129,7 @@ def _draw_map(
 ) -> tuple[Figure, Axes, float]:
     """One of the maps in the border of the area, and the metres of a unit of its axes."""
     side = survey["grid_spacing"]
-    unit, scale = _unit(float(np.ptp(maps["outline"], axis=0).max()))
-    low, high = maps["outline"].min(0) / scale, maps["outline"].max(0) / scale
-    width, height = high - low
-    figure, grid = style.figure(min(7.0, max(2.6, 0.9 + 4.0 * height / width)))
-    axes = grid[0, 0]
+    figure, axes, border, scale = _axes(maps, maps["outline"])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
     cells = PolyCollection(
         list((maps["grid"][:, None] + corners) / scale),
@@ -143,17 +141,56 @@ def _draw_map(
     cells.set_clim(0.0, float(maps[name].max()))
     cells.set_rasterized(True)
     axes.add_collection(cells)
+    cells.set_clip_path(border)
+    draw_scale(figure, cells, [axes], shrink=0.7, label=label)
+    return figure, axes, scale
+
+
+def _draw_read(maps: Mapping[str, np.ndarray], file: str, rows: np.ndarray) -> Drawing:
+    """The values that were read from a file, at their places."""
+    shown = np.concatenate([maps["outline"], rows[:, :2]])
+    figure, axes, _, scale = _axes(maps, shown)
+    # Squares that would tile the places, but no larger than a marker that shows one value.
+    width, height = np.maximum(np.ptp(rows[:, :2], axis=0), 1e-9) / scale
+    inches = axes.get_position().width * figure.get_figwidth() / np.ptp(axes.get_xlim())
+    size = min(72.0 * inches * (width * height / len(rows)) ** 0.5, 6.0)
+    drawn = axes.scatter(
+        *(rows[:, :2] / scale).T,
+        c=rows[:, 2],
+        s=(1.1 * size) ** 2,
+        marker="s",
+        linewidths=0.0,
+        rasterized=True,
+        zorder=0,
+    )
+    name = Path(file).name
+    draw_scale(figure, drawn, [axes], shrink=0.7, label="value")
+    low, high = number(float(rows[:, 2].min())), number(float(rows[:, 2].max()))
+    return Drawing(
+        figure,
+        f"What was read from {name}",
+        f"{counted(len(rows), 'value')} of {name} as they were read, from {low} to {high}; of a large file, "
+        "an even part is drawn. The line is the border of the area.",
+        f"A map of the values of {name}, from {low} to {high}.",
+    )
+
+
+def _axes(maps: Mapping[str, np.ndarray], shown: np.ndarray) -> tuple[Figure, Axes, PathPatch, float]:
+    """Axes that show points, the border of the area in them, and the metres of their unit."""
+    unit, scale = _unit(float(np.ptp(shown, axis=0).max()))
+    low, high = shown.min(0) / scale, shown.max(0) / scale
+    width, height = high - low
+    figure, grid = style.figure(min(7.0, max(2.6, 0.9 + 4.0 * height / width)))
+    axes = grid[0, 0]
     border = PathPatch(_outline(maps, scale), fill=False, edgecolor=style.INK, linewidth=0.8)
     axes.add_patch(border)
-    cells.set_clip_path(border)
     axes.set_aspect("equal")
     margin = 0.03 * max(width, height)
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
     axes.set_xlabel(f"x ({unit})")
     axes.set_ylabel(f"y ({unit})")
-    draw_scale(figure, cells, [axes], shrink=0.7, label=label)
-    return figure, axes, scale
+    return figure, axes, border, scale
 
 
 def _outline(maps: Mapping[str, np.ndarray], scale: float) -> Outline:

@@ -31,8 +31,8 @@ def write_survey(
     The paths of all but the last are returned.
 
     `survey.json` holds the candidates, the model and the settings; `survey.npz` the map: `grid [M, 2]`, the
-    standard deviations `before [M]` and `after [M]`, the `weights [M]` of the goal, and the border,
-    `outline [P, 2]` with `ring_ends`.
+    standard deviations `before [M]` and `after [M]`, the `weights [M]` of the goal, the border,
+    `outline [P, 2]` with `ring_ends`, and what was read from each file, `read_0 [N, 3]` and so on.
     """
     make_folder(folder)
     files = []
@@ -48,9 +48,14 @@ def write_survey(
         "outline": np.concatenate(rings),
         "ring_ends": np.cumsum([len(ring) for ring in rings]),
     }
+    read = [each for each in (place.values, model.read) if each is not None]
+    if len(read) == 2 and read[0].file == read[1].file:
+        del read[0]
+    arrays |= {f"read_{i}": np.column_stack([each.points, each.values]) for i, each in enumerate(read)}
     write_arrays(folder / "survey.npz", arrays)
     content = {
         "area": place.name,
+        "read": [each.file for each in read],
         "rule": "Best is the least error."
         if demand.budget is not None or demand.turning_radius
         else "All cover the area: best is the shortest.",

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.areas.place import MOST_CELLS, Place
+from bojax.areas.place import MOST_CELLS, MOST_DRAWN, Place, Values, values_of
 from bojax.fields.data import read_points, split_choice
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
@@ -42,6 +42,7 @@ class FieldModel:
         mean: Mean of the field.
         seen: Points `[N, 2]`, m, and values `[N]` of the earlier survey; None without one.
         notes: What a user should know of the earlier survey, a sentence each.
+        read: Its values, to be drawn.
     """
 
     lengthscale: float
@@ -51,6 +52,7 @@ class FieldModel:
     mean: float = 0.0
     seen: tuple[np.ndarray, np.ndarray] | None = None
     notes: tuple[str, ...] = ()
+    read: Values | None = None
 
     def belief(self) -> GaussianProcess:
         """The belief about the field before the survey; inputs are in metres."""
@@ -94,7 +96,7 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
         ValueError: The file cannot be read, has fewer than 10 values, or all of them, or their places, are
             equal.
     """
-    points, values, notes = _read_values(file, place)
+    points, values, read, notes = _read_values(file, place)
     if len(values) < 10:
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
     x_min, y_min, x_max, y_max = place.area.bounds
@@ -134,31 +136,31 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     mean = float(values.mean()) + scale * float(learned.mean.value)
     std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
     source = f"learned from {len(values)} values of {Path(file).name}"
-    return FieldModel(lengthscale or found, std, noise, source, mean, seen, tuple(notes))
+    return FieldModel(lengthscale or found, std, noise, source, mean, seen, tuple(notes), read)
 
 
-def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, Values, list[str]]:
     """Points `[N, 2]` in metres of the place and values `[N]` of an earlier survey, and notes on them."""
-    path, notes = split_choice(file)[0], list[str]()
+    path, notes, read = split_choice(file)[0], list[str](), None
     try:
         if Path(path).suffix.lower() in (".csv", ".txt", ".xyz"):
-            read = read_points(file)
+            table = read_points(file)
             # Columns without the name of a longitude are in the coordinates of the area.
-            crs = read.crs or place.projection.crs
+            crs = table.crs or place.projection.crs
             if crs == DEGREES:
-                read.check_degrees()
-            if read.left_out:
-                number = len(read.rows) + read.left_out
-                notes.append(f"{file}: {read.left_out} of {number} rows have no data and are left out.")
-            points, values = read.rows[:, :2], read.rows[:, 2]
+                table.check_degrees()
+            if table.left_out:
+                number = len(table.rows) + table.left_out
+                notes.append(f"{file}: {table.left_out} of {number} rows have no data and are left out.")
+            points, values = table.rows[:, :2], table.rows[:, 2]
         else:
             raster = read_raster(file, MOST_CELLS)
-            x, y = np.meshgrid(raster.x, raster.y)
-            has_data = ~raster.is_hole
-            points, values = np.stack([x[has_data], y[has_data]], axis=1), raster.values[has_data]
-            crs = raster.crs
+            (points, values), crs = raster.cells, raster.crs
+            read = values_of(file, raster, place.projection)
             notes += (f"{file}: {note}" for note in raster.notes)
-        return place.projection.from_other(points, crs), values, notes
+        points = place.projection.from_other(points, crs)
+        step = -(-len(points) // MOST_DRAWN)
+        return points, values, read or Values(file, points[::step], values[::step]), notes
     except ValueError as error:
         message = str(error)
         raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error

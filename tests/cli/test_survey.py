@@ -152,12 +152,29 @@ def test_a_threshold_weighs_places_by_an_earlier_survey_of_a_geotiff_with_holes(
     assert "learned from 200 values of bay.tif" in survey["settings"]["model"]
     assert rows_of(out)["distance"][-1] <= 1500.0 + 1e-3
     with np.load(out / "survey.npz") as arrays:
-        weights, across = arrays["weights"], arrays["grid"][:, 0]
+        weights, across, read = arrays["weights"], arrays["grid"][:, 0], arrays["read_0"]
     across = (across - across.min()) / np.ptp(across)
     assert weights.mean() == pytest.approx(1.0)
     assert np.average(across, weights=weights) == pytest.approx(0.25, abs=0.1)  # where the field is 2.5
     assert weights[across > 0.6].max() == 0.0
     assert (out / "figures" / "goal.png").is_file()
+    # The file is AREA and --prior, and drawn once: all cells with data, whose value grows with x.
+    assert sorted(path.name for path in (out / "figures").glob("read*.png")) == ["read-1.png"]
+    np.testing.assert_allclose(np.sort(read[:, 2]), np.sort(sloping[~np.isnan(sloping)]), rtol=1e-6)
+    assert np.corrcoef(read[:, 0], read[:, 2])[0, 1] > 0.9
+
+
+def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path):
+    prior, out = tmp_path / "prior.csv", tmp_path / "out"
+    rows = np.random.default_rng(0).uniform(0.0, 80.0, (30, 3))
+    prior.write_text("x,y,z\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()))
+    words = ["--prior", str(prior), "--budget", "300", "--lawnmower", "--out", str(out)]
+    assert main(["survey", write_ascii(tmp_path / "a.asc"), *words]) == 0
+    with np.load(out / "survey.npz") as arrays:
+        assert len(arrays["read_0"]) == np.sum(~np.isnan(with_hole()))
+        np.testing.assert_allclose(arrays["read_1"], rows)
+    text = (out / "report.html").read_text()
+    assert "What was read from a.asc" in text and "What was read from prior.csv" in text
 
 
 def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):
