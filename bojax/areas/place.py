@@ -191,7 +191,7 @@ def values_of(file: str, raster: Raster, projection: Projection) -> Values:
 def read_outlined(
     file: str, avoid: tuple[str, ...], below: float | None, frame: str | None, sha256: str | None
 ) -> Place:
-    """The area in a file without no-go zones, in the frame of a field's file or its own.
+    """The area in a file without no-go zones, in the frame of a file of a field or of polygons, or its own.
 
     It is kept, since settings are read several times before anything runs; with other `sha256` of its files
     it is read again.
@@ -201,7 +201,9 @@ def read_outlined(
     """
     if _SIZE.fullmatch(file):
         raise ValueError(f"file: got {file}; allowed: a file of polygons, or a raster")
-    place = read_place(file, below, None if frame is None else frame_of(frame))
+    is_of_polygons = frame is not None and Path(frame).suffix.lower() in polygons.SUFFIXES
+    of_frame = None if frame is None else read_place(frame).projection if is_of_polygons else frame_of(frame)
+    place = read_place(file, below, of_frame)
     for zones in avoid:
         place = place.without(zones)
     return place

@@ -38,8 +38,9 @@ class OutlinedArea(AreaSettings, frozen=True):
     )
     frame: str | None = Field(
         default=None,
-        description="file of a field whose origin and metres the area is given in; null for those of a field "
-        "in degrees or a map projection, and otherwise the area's own, with its lower left corner at [0, 0]",
+        description="file of a field, or of polygons, whose origin and metres the area is given in; null for "
+        "those of a field in degrees or a map projection, and otherwise the area's own, with its lower left "
+        "corner at [0, 0]",
     )
     resolution: int = Field(
         default=400, ge=10, le=1500, description="cells along the longer side of the table of distances"
@@ -70,6 +71,24 @@ class OutlinedArea(AreaSettings, frozen=True):
         from bojax.areas.place import read_outlined  # not at the start of every command
 
         return read_outlined(self.file, self.avoid, self.below, self.frame, self.sha256)
+
+    @property
+    def own_frame(self) -> str | None:
+        """The file whose frame is that of the area; None for metres without a place on the Earth.
+
+        Raises:
+            ValueError: The area is a raster with an origin of its own.
+        """
+        from bojax.areas.polygons import SUFFIXES
+
+        if self.frame is not None or self.place.projection.crs is None:
+            return self.frame
+        if not self.file.lower().endswith(SUFFIXES):
+            raise ValueError(
+                "region: a file needs problem.area.frame if the area is a raster; allowed: one, or an area "
+                "of polygons"
+            )
+        return self.file
 
     def check_inside(self, points: Mapping[str, tuple[float, float]]) -> None:
         """Refuse points, by the names of their settings, outside the area or in different parts of it.

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key, Scalar
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from typing_extensions import override
 
 from bojax.areas.outlined import OutlinedArea, check_sampling
@@ -104,7 +104,7 @@ class FieldProblem(PathProblem):
     end: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
     area: OutlinedArea | None = eqx.field(default=None, kw_only=True)
     ways: WaysToEnd | None = eqx.field(default=None, kw_only=True)
-    region: Float[Array, "4"] | None = eqx.field(default=None, kw_only=True)
+    region: Float[Array, "4"] | OutlinedArea | None = eqx.field(default=None, kw_only=True)
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
     sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
     max_steps: int = eqx.field(static=True)
@@ -140,13 +140,19 @@ class FieldProblem(PathProblem):
             )
         if self.region is not None and is_known((self.region, self.domain, self.walls, self.area)):
             grid = self.grid()
-            if not jnp.any(is_inside(grid, self.region) & self.arena.is_free(grid)):
+            if not jnp.any(self._is_in_region(grid) & self.arena.is_free(grid)):
                 raise ValueError("region: no free point of the grid of the errors lies in it")
         if self.ways is not None:
             arena = self.arena
             starts = arena.grid(STARTS) if self.start is None else self.start[None, :2]
             is_free = arena.is_free(starts) | (len(starts) == 1)
             check_budget(self.ways, starts, is_free, self._budget, self.speed)
+
+    def _is_in_region(self, points: Float[Array, "G 2"]) -> Bool[Array, "G"]:
+        if isinstance(self.region, OutlinedArea):
+            return self.region.is_inside(points)
+        assert self.region is not None
+        return is_inside(points, self.region)
 
     @override
     def check_motions(self, motions: Motions) -> None:
@@ -394,7 +400,7 @@ class FieldProblem(PathProblem):
         taken = jnp.maximum(posterior.count + posterior.num_ignored, 1).astype(mean.dtype)
         errors = field_errors(self.true_field, grid, mean, variance, is_open, self.weighting)
         if self.region is not None:
-            counts = is_open & is_inside(grid, self.region)
+            counts = is_open & self._is_in_region(grid)
             within = field_errors(self.true_field, grid, mean, variance, counts, self.weighting)
             errors |= {f"{name}_region": within[name] for name in STEP_ERRORS}
         return errors | {

@@ -1,5 +1,6 @@
 """Settings of planning problems, their objectives and their sensors."""
 
+from collections.abc import Mapping
 from itertools import product
 from math import dist, pi
 from typing import Annotated, Any, ClassVar, Literal
@@ -17,6 +18,9 @@ from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
 from bojax.problems.budgets import check_one_budget, check_reach, distance_of
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
+
+
+_BOX = pydantic.TypeAdapter(Box)
 
 
 class ObjectiveSettings(Component, frozen=True):
@@ -283,10 +287,11 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="whether steps.parquet has the distance driven and, of the belief after every step, "
         "rmse, mnll and mean_std",
     )
-    region: Box | None = Field(
+    region: Box | OutlinedArea | None = Field(
         default=None,
-        description="part of the domain, [x_min, y_min, x_max, y_max], m, whose errors steps.parquet has as "
-        "well, as rmse_region, mnll_region and mean_std_region; needs `errors_by_step`",
+        description="part of the domain, [x_min, y_min, x_max, y_max], m, or a file of polygons, whose "
+        "errors steps.parquet has as well, as rmse_region, mnll_region and mean_std_region; needs "
+        "`errors_by_step`",
     )
     relearn_every: int = Field(default=0, ge=0, description="steps between hyper-parameter updates; 0: none")
     relearn_spread: float = Field(
@@ -302,10 +307,21 @@ class FieldProblem(ProblemSettings, frozen=True):
     )
     weighting: _Weighting = "value"
 
-    @pydantic.field_validator("domain", "target_area", "region")
+    @pydantic.field_validator("domain", "target_area")
     @classmethod
     def _proper_box(cls, box: Any) -> Any:
         return box if box is None else proper_box(box)
+
+    @pydantic.field_validator("region", mode="wrap")
+    @classmethod
+    def _box_or_file(cls, region: Any, handler: Any, info: Any) -> Any:
+        del handler  # a union would name its members in messages
+        if region is None or isinstance(region, OutlinedArea):
+            return region
+        if isinstance(region, str | Mapping):
+            settings = {"file": region} if isinstance(region, str) else region
+            return OutlinedArea.model_validate(settings, context=info.context)
+        return proper_box(_BOX.validate_python(region))
 
     @pydantic.field_validator("walls")
     @classmethod
@@ -338,6 +354,20 @@ class FieldProblem(ProblemSettings, frozen=True):
                 object.__setattr__(self, "area", self.area.model_copy(update={"frame": self.field.file}))
         if "domain" not in self.model_fields_set:
             object.__setattr__(self, "domain", self._outlined.place.area.bounds)
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _placed_region(self, info: Any) -> "FieldProblem":
+        if not isinstance(self.region, OutlinedArea) or self.region.frame or info.context is RECORDED:
+            return self
+        frame = None
+        if isinstance(self.area, OutlinedArea):
+            frame = self.area.own_frame
+        elif isinstance(self.field, Grid | Scattered):
+            frame = self.field.file if frame_of(self.field.file).crs is not None else None
+        if frame is not None:
+            object.__setattr__(self, "region", self.region.model_copy(update={"frame": frame}))
+        _ = self.region.place  # in another system than the frame, it is refused
         return self
 
     @property

@@ -1,6 +1,7 @@
 """A budget of distance: the robot stops at the last pose that it allows, and planners know that."""
 
 import dataclasses
+import json
 
 import jax
 import numpy as np
@@ -8,6 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from bojax.cli.main import main
+from bojax.config.errors import ConfigError
+from bojax.engine.build import build
 from bojax.motions.base import place
 from bojax.problems.settings import Monitoring
 from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
@@ -130,3 +133,43 @@ def test_a_region_needs_errors_by_step_and_points_of_the_grid():
         monitoring(errors_by_step=True, region=f64((0.01, 0.01, 0.02, 0.02)))
     with pytest.raises(ValueError, match="region: needs errors_by_step"):
         Monitoring(region=(0.0, 0.0, 1.0, 1.0))
+
+
+def test_the_errors_of_a_region_of_polygons_are_those_of_its_points_in_the_frame_of_the_area(tmp_path):
+    shapely = pytest.importorskip("shapely")
+    corners = {
+        "area": [[0, 0], [3, 0], [3, 2], [0, 2], [0, 0]],
+        "part": [[1, 0.1], [2.9, 0.1], [1, 1.5], [1, 0.1]],
+    }
+    for name, ring in corners.items():
+        degrees = [[10.0 + 1e-5 * x, 54.0 + 1e-5 * y] for x, y in ring]  # about 0.65 by 1.11 m a unit
+        (tmp_path / f"{name}.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [degrees]}))
+    files = {name: str(tmp_path / f"{name}.geojson") for name in corners}
+    settings = Monitoring(
+        area={"kind": "outline", "file": files["area"]}, region=files["part"], errors_by_step=True
+    )
+    assert Monitoring.model_validate(settings.model_dump()) == settings
+    problem = build(settings)
+    grid = np.asarray(problem.grid())
+    width, height = np.ptp(np.asarray(problem.domain).reshape(2, 2), axis=0)
+    part = shapely.Polygon(np.array(corners["part"]) * [width / 3.0, height / 2.0])
+    cell = float(problem.region.distance.spacing)
+    is_clear = shapely.distance(part.boundary, shapely.points(grid)) > cell
+    expected = shapely.contains_xy(part, *grid.T)
+    assert 50 < expected.sum() < 500 and is_clear.mean() > 0.95
+    found = np.asarray(problem._is_in_region(problem.grid()))
+    np.testing.assert_array_equal(found[is_clear], expected[is_clear])
+    elsewhere = tmp_path / "far.geojson"
+    elsewhere.write_text((tmp_path / "part.geojson").read_text().replace("[10.0", "[10.1"))
+    with pytest.raises(ConfigError, match="region: no free point of the grid"):
+        build(
+            Monitoring(
+                area={"kind": "outline", "file": files["area"]}, region=str(elsewhere), errors_by_step=True
+            )
+        )
+    with pytest.raises(ValueError, match=r"no.kml: No such file"):
+        Monitoring(area={"kind": "outline", "file": files["area"]}, region="no.kml", errors_by_step=True)
+    metres = tmp_path / "metres.geojson"
+    metres.write_text(json.dumps({"type": "Polygon", "coordinates": [corners["part"]], "crs": None}))
+    with pytest.raises(ValueError, match=r"metres.geojson: "):
+        Monitoring(area={"kind": "outline", "file": files["area"]}, region=str(metres), errors_by_step=True)
