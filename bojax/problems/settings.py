@@ -19,7 +19,6 @@ from bojax.problems.budgets import check_one_budget, check_reach, distance_of
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
 
-
 _BOX = pydantic.TypeAdapter(Box)
 
 
