@@ -295,7 +295,7 @@ class Mission:
     def _descended(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
         """Routes of least expected error at the places that count, beside those of returning robots."""
         key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
-        found = plan_routes(
+        return plan_routes(
             self.posterior(),
             self.area,
             [leg.left for leg in legs],
@@ -308,11 +308,7 @@ class Mission:
             separation=self.separation,
             others=returning,
             options=self._options,
-        )
-        return [
-            Route(route, length_of(route), found.error, found.chosen, found.candidates)
-            for route in found.routes
-        ]
+        ).each
 
     def _searched(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
         """Routes of least loss of a goal that depends on values; of a map without any.

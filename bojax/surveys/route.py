@@ -89,6 +89,12 @@ class Routes:
     chosen: str
     candidates: dict[str, float]
 
+    @property
+    def each(self) -> list[Route]:
+        """The route of each robot, with what is common to all."""
+        common = self.error, self.chosen, self.candidates
+        return [Route(route, length_of(route), *common) for route in self.routes]
+
 
 def plan_route(
     posterior: GaussianProcess,
@@ -133,8 +139,7 @@ def plan_route(
         posterior, area, budget, [start], [end], given, key,
         spacing=spacing, weight=weight, target=target, options=options,
     )  # fmt: skip
-    (route,) = found.routes
-    return Route(route, length_of(route), found.error, found.chosen, found.candidates)
+    return found.each[0]
 
 
 def plan_routes(

@@ -14,7 +14,8 @@ from bojax.areas.shapes import to_shape  # noqa: E402
 from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
 from bojax.models.kernels import Matern52, Scaled  # noqa: E402
 from bojax.surveys.lawnmower import DIRECTIONS, Ground, TooTight, _apart, lawnmower, lawnmowers_within  # noqa: E402
-from bojax.surveys.polylines import length_of  # noqa: E402
+from bojax.surveys.mission import Mission  # noqa: E402
+from bojax.surveys.polylines import length_of, points_along  # noqa: E402
 from bojax.surveys.route import RouteOptions, plan_route  # noqa: E402
 from bojax.surveys.turns import drivable, least_radius  # noqa: E402
 from tests.surveys.test_lawnmower import AREAS, SQUARE, apart, is_inside  # noqa: E402
@@ -130,3 +131,13 @@ def test_an_optimised_route_turns_as_widely_as_it_must():
     with pytest.raises(ValueError, match=r"with turns of 9 m stays in the area; allowed: a smaller turning"):
         plan_route(belief, area, 40.0, *ends, spacing=0.3,
                    options=dataclasses.replace(options, turning_radius=9.0))  # fmt: skip
+
+
+def test_the_plans_of_a_mission_turn_as_widely_as_they_must():
+    options = RouteOptions(waypoints=32, restarts=2, steps=20, models=1, turning_radius=0.5)
+    mission = Mission(SQUARE, 40.0, [1.0, 1.0], spacing=0.5, options=options)
+    for distance in (8.0, 7.0):
+        way = np.concatenate([mission.position[None], mission.plan()])
+        assert can_be_driven(way, 0.5) and is_inside(SQUARE, way)
+        points = points_along(way, np.arange(0.5, distance, 0.5))
+        mission.observe(points, np.sin(points[:, 0]))
