@@ -14,6 +14,7 @@ from options import make_parser, positive
 EXAMPLES = """\
   python benchmarks/bench_survey.py                     5 starts, routes of length 20 and 40
   python benchmarks/bench_survey.py --starts 3 --device cpu
+  python benchmarks/bench_survey.py --edges             outlines of 10 to 10,000 edges
   python benchmarks/bench_survey.py --routes 1000 --device gpu     1,000 routes of length 40 at once
 """
 
@@ -30,6 +31,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--starts", type=positive, default=5, help="number of starts, at most 19 (5)")
     parser.add_argument(
         "--routes", type=positive, metavar="N", help="optimise N first guesses at once, in place of the above"
+    )
+    parser.add_argument(
+        "--edges", action="store_true", help="routes of length 40 over outlines of 10 to 10,000 edges instead"
     )
     return parser.parse_args(argv)
 

@@ -1,5 +1,6 @@
 """The timings of bench_survey.py, run in a process with its own cores."""
 
+import functools
 import sys
 import time
 from collections.abc import Callable
@@ -10,12 +11,38 @@ from bench_survey import parse
 from rich.console import Console
 from rich.table import Table
 
+from bojax.areas.area import Area
 from bojax.surveys import route
 from bojax.surveys.league.cells import LENGTHS
 from bojax.surveys.league.fields import MODEL, SQUARE
 from bojax.surveys.league.routes import SPACING, start_of
 from bojax.surveys.mission import Mission
 from bojax.surveys.planning import Demand, plan_survey
+
+EDGES = (10, 100, 1000, 10_000)
+"""Edges of outlines."""
+
+PLANS = {
+    "lawnmowers": lambda area, length, at: plan_survey(
+        area, MODEL, Demand(length, at, sampling=SPACING), optimises=False
+    ),
+    "bojax survey": lambda area, length, at: plan_survey(area, MODEL, Demand(length, at, sampling=SPACING)),
+    "Mission.plan, first": lambda area, length, at: Mission(area, length, at, spacing=SPACING).plan(),
+}
+"""Plans of a route of a length from a start."""
+
+
+def rough(number: int) -> Area:
+    """A lake with a number of edges around the middle of the square.
+
+    Its radius has the spectrum of a coast of fractal dimension 1.25, up to the waves that the edges resolve.
+    """
+    random = np.random.default_rng(0)
+    angles = 2.0 * np.pi * np.arange(number) / number
+    radius = np.full(number, 4.0)
+    for wave in range(2, 2 + number // 4):
+        radius += 0.6 * wave**-1.25 * np.sin(wave * angles + random.uniform(0.0, 2.0 * np.pi))
+    return Area((5.0 + radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1),))
 
 
 def main(argv: list[str]) -> int:
@@ -27,16 +54,16 @@ def main(argv: list[str]) -> int:
         _time_many(starts, args.routes)
         return 0
     table = Table(title=f"CPU seconds of a plan, median of {args.starts} starts")
-    for heading in ("length", "bojax survey", "Mission.plan, first"):
+    for heading in ("edges" if args.edges else "length", *PLANS):
         table.add_column(heading, justify="right")
-    for length in LENGTHS:
-        survey = _seconds(
-            starts, lambda at, length=length: plan_survey(SQUARE, MODEL, Demand(length, at, sampling=SPACING))
-        )
-        mission = _seconds(
-            starts, lambda at, length=length: Mission(SQUARE, length, at, spacing=SPACING).plan()
-        )
-        table.add_row(f"{length}", f"{survey:.2f}", f"{mission:.2f}")
+    cells = {f"{length}": (SQUARE, length) for length in LENGTHS}
+    if args.edges:
+        cells = {f"{number:,}": (rough(number), 40.0) for number in EDGES}
+    for name, (area, length) in cells.items():
+        at = starts if area is SQUARE else [0.4 * start + 3.0 for start in starts]
+        timed = [functools.partial(plan, area, length) for plan in PLANS.values()]
+        seconds = [_seconds(at, plan) for plan in timed]
+        table.add_row(name, *(f"{each:.2f}" for each in seconds))
     Console().print(table)
     return 0
 
