@@ -16,6 +16,8 @@ DEV_STAMP := .venv/.bojax-dev
 # pip itself would compile on one core, and tests of packages too; some packages hold files of Python 2.
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c $(PINS) -e
 COMPILE := $(BIN)/python -m compileall -q -j 0 -x /tests/ .venv/lib > /dev/null 2>&1 || true
+# Every process that a test starts would compile bojax again, which takes longer than to import it.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run test slow check smoke site gallery format clean
 

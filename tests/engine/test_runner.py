@@ -149,17 +149,17 @@ def test_runs_of_shipped_experiments_do_not_depend_on_the_layout(words):
     (group,) = static_groups([experiment])
     expected, learned = rows_and_learners(group, experiment, Layout(8, (8,), 0))
     assert len(np.unique(expected["steps"])) > 1
-    for layout in (Layout(8, (3,), 1), Layout(8, (8, 4, 2), 1)):
-        found, saved = rows_and_learners(group, experiment, layout)
-        for name, values in expected.items():
-            if values.dtype.kind == "f":
-                np.testing.assert_allclose(found[name], values, rtol=1e-9)
-            else:
-                np.testing.assert_array_equal(found[name], values)
-        assert saved.keys() == learned.keys()
-        for key, leaves in learned.items():
-            for ours, theirs in zip(jax.tree.leaves(saved[key]), jax.tree.leaves(leaves), strict=True):
-                np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+    # Lanes are refilled, and moved to fewer.
+    found, saved = rows_and_learners(group, experiment, Layout(8, (3, 2), 1))
+    for name, values in expected.items():
+        if values.dtype.kind == "f":
+            np.testing.assert_allclose(found[name], values, rtol=1e-9)
+        else:
+            np.testing.assert_array_equal(found[name], values)
+    assert saved.keys() == learned.keys()
+    for key, leaves in learned.items():
+        for ours, theirs in zip(jax.tree.leaves(saved[key]), jax.tree.leaves(leaves), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-6)
 
 
 def test_repacking_keeps_lanes_busy():
