@@ -39,16 +39,22 @@ def test_a_loop_in_gymnasium_has_the_returns_of_the_engines_tests():
         assert rollout(GymnasiumEnv(policy.env), policy)[1] == pytest.approx(expected)
 
 
-def test_the_expected_return_is_the_learners_value_of_the_action():
+def test_the_policy_of_a_box_takes_plain_numbers_and_expects_its_learners_value():
     learner = EMUQ(features=RandomFourierFeatures(num_features=16), refit="sweeps")
     trained = train(MountainCar(max_steps=20), learner, episodes=2)
+    policy, again = trained.policy(), trained.policy()
+    actions = [policy([-0.5, 0.0]) for _ in range(3)]
+    assert all(action.shape == (1,) and abs(action[0]) <= 1.0 for action in actions)
+    assert np.array_equal(actions[0], again(np.array([-0.5, 0.0], np.float64)))
+    assert not np.array_equal(actions[0], actions[1])  # the candidates are drawn anew
     state = jax.tree.map(lambda leaf: leaf[0], trained.learned)
-    action, expected = trained.policy().act([-0.5, 0.01])
+    assert len(state.memory.rewards) == 1
+    action, expected = again.act([-0.5, 0.01])
     seen = jnp.asarray([-0.5, 0.01], jnp.float32)
     value, _ = trained.experiment.learner.values(state, seen, jnp.asarray(action))
     assert expected == pytest.approx(float(value), abs=1e-5)
     with pytest.raises(ValueError, match=r"the observation is \[nan, 0.01\]; allowed: finite numbers"):
-        trained.policy()([float("nan"), 0.01])
+        policy([float("nan"), 0.01])
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +74,17 @@ def saved(tmp_path_factory):
     return folder
 
 
-def test_a_saved_policy_takes_the_actions_of_an_evaluation_by_the_engine(saved):
-    words = ["saved_run=1", "episodes=2", "--runs", "1", "--out", str(saved.parent / "evaluation")]
+@pytest.fixture(scope="module")
+def evaluation(saved):
+    folder = saved.parent / "evaluation"
+    words = ["saved_run=1", "episodes=2", "--runs", "1", "--out", str(folder)]
     assert main(["run", str(saved / "learners" / "0"), *words]) == 0
+    return bojax.load(folder)
+
+
+def test_a_saved_policy_takes_the_actions_of_an_evaluation_by_the_engine(saved, evaluation):
     policy = bojax.load(saved).policy(run=1)
-    rows = bojax.load(saved.parent / "evaluation").steps.to_pylist()
+    rows = evaluation.steps.to_pylist()
     assert len(rows) > 4
     for row in rows:
         assert int(policy(int(row["observation_0"]))) == row["action_0"]
@@ -102,12 +114,11 @@ def test_a_policy_that_is_not_there_is_one_line(saved, arguments, message):
         bojax.load(saved).policy(**arguments)
 
 
-def test_results_without_learners_say_how_to_save_them(tmp_path):
-    assert main(["run", "chain", "episodes=2", "--runs", "1", "--out", str(tmp_path / "a")]) == 0
+def test_results_without_learners_say_how_to_save_them(evaluation):
     with pytest.raises(
         bojax.BojaxError, match="no learner was saved; allowed: results of record.learners=true"
     ):
-        bojax.load(tmp_path / "a").policy()
+        evaluation.policy()
 
 
 @pytest.mark.parametrize(

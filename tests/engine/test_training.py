@@ -1,6 +1,5 @@
 """Training from Python gives the results of a sweep, and a policy that exploits."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
@@ -10,8 +9,8 @@ from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_config
 from bojax.engine.build import build
 from bojax.engine.training import train
-from bojax.envs.settings import Chain, MountainCar
-from bojax.learning.settings import EMUQ, AdditiveRewards, Budget, RandomFourierFeatures
+from bojax.envs.settings import Chain
+from bojax.learning.settings import AdditiveRewards, Budget
 from bojax.results.store import read_table
 from bojax.results.tables import sort_rows
 from tests.engine.drive import run_sweep
@@ -81,18 +80,6 @@ def test_the_policy_exploits():
     for run in range(2):
         policy = trained.policy(run)
         assert [int(policy(0)) for _ in range(10)] == [1] * 10
-
-
-def test_the_policy_of_a_box_takes_plain_numbers():
-    learner = EMUQ(features=RandomFourierFeatures(num_features=16), refit="sweeps")
-    trained = train(MountainCar(max_steps=20), learner, episodes=1)
-    policy, again = trained.policy(), trained.policy()
-    actions = [policy([-0.5, 0.0]) for _ in range(3)]
-    assert all(action.shape == (1,) and abs(action[0]) <= 1.0 for action in actions)
-    assert np.array_equal(actions[0], again(np.array([-0.5, 0.0], np.float64)))
-    assert not np.array_equal(actions[0], actions[1])  # the candidates are drawn anew
-    state = jax.tree.map(lambda leaf: leaf[0], trained.learned)
-    assert len(state.memory.rewards) == 1
 
 
 @pytest.mark.parametrize(

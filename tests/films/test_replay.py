@@ -57,8 +57,8 @@ def walks():
 
 
 def recorded(folder, *settings):
-    words = ["mountain-car", "env={kind: gymnasium, id: Walk-v0}", LEARNER, "stop=never", "episodes=3", *settings]
-    assert main(["run", *words, "--runs", "2", "--out", str(folder)]) == 0
+    words = ["mountain-car", "env={kind: gymnasium, id: Walk-v0}", LEARNER, "stop=never", *settings]
+    assert main(["run", *words, "episodes=3", "--runs", "2", "--out", str(folder)]) == 0
     return folder
 
 

@@ -17,7 +17,7 @@ def profile(params, space: float, time: float, start: str) -> dict[str, np.ndarr
     trajectory = KernelTrajectory(params, 0.3, 1.0, space, time, epsilon=0.1, delta=1e-5, start=start)
 
     def speed(times):
-        return np.array([np.linalg.norm(trajectory.velocity(y)) for y in times])
+        return np.linalg.norm(trajectory.velocity(times), axis=1)
 
     speeds = speed(TIMES)
     accelerations = (speed(TIMES + STEP) - speed(TIMES - STEP)) / (2.0 * STEP)

@@ -33,30 +33,33 @@ class KernelTrajectory:
         m_pi = uniform_embedding(self.anchors, space_lengthscale)
         self.big_lambda = np.diag(np.linalg.solve(space_gram + n * epsilon * np.eye(n), m_pi))  # (4.9)
 
+    # Of one time, or of many: then a row each.
+
     def k_y(self, y):
-        return np.exp(-0.5 * ((y - self.times) / self.time_lengthscale) ** 2)
+        return np.exp(-0.5 * (np.subtract.outer(y, self.times) / self.time_lengthscale) ** 2)
 
     def k_y_dot(self, y):
-        return -(y - self.times) / self.time_lengthscale**2 * self.k_y(y)
+        return -np.subtract.outer(y, self.times) / self.time_lengthscale**2 * self.k_y(y)
 
     def weights(self, k_y):
         """(4.8)"""
         a = self.big_lambda @ self.time_gram
-        return a @ np.linalg.solve(a @ a + self.delta * np.eye(len(a)), self.big_lambda @ k_y)
+        return (a @ np.linalg.solve(a @ a + self.delta * np.eye(len(a)), self.big_lambda @ k_y.T)).T
 
     def expected(self, y):
         """(4.7)"""
-        return self.anchors.T @ self.weights(self.k_y(y))
+        return self.weights(self.k_y(y)) @ self.anchors
 
     def expected_dot(self, y):
-        return self.anchors.T @ self.weights(self.k_y_dot(y))
+        return self.weights(self.k_y_dot(y)) @ self.anchors
 
     def position(self, y):
         """T(y), moved to the origin, and bent onto the heading with `start="pose"`."""
-        return self.expected(y) - self.expected(0.0) + y * (1.0 - y) ** 2 * self.misfit
+        bend = np.multiply.outer(y * (1.0 - y) ** 2, self.misfit)
+        return self.expected(y) - self.expected(0.0) + bend
 
     def velocity(self, y):
-        return self.expected_dot(y) + (1.0 - y) * (1.0 - 3.0 * y) * self.misfit
+        return self.expected_dot(y) + np.multiply.outer((1.0 - y) * (1.0 - 3.0 * y), self.misfit)
 
     @property
     def misfit(self):
@@ -67,14 +70,11 @@ class KernelTrajectory:
     def path(self, length, num_samples, num_chords=2000):
         """Poses at equal arc lengths, measured along many chords."""
         ys = np.linspace(0.0, 1.0, num_chords + 1)
-        points = np.stack([self.position(y) for y in ys])
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        poses = []
-        for i in range(1, num_samples + 1):
-            y = np.interp(arc[-1] * i / num_samples, arc, ys)
-            velocity = self.velocity(y)
-            poses.append([*(self.position(y) * length / arc[-1]), np.arctan2(velocity[1], velocity[0])])
-        return np.array(poses)
+        steps = np.linalg.norm(np.diff(self.position(ys), axis=0), axis=1)
+        arc = np.concatenate([[0.0], np.cumsum(steps)])
+        at = np.interp(arc[-1] * np.arange(1, num_samples + 1) / num_samples, arc, ys)
+        x_dot, y_dot = self.velocity(at).T
+        return np.column_stack([self.position(at) * length / arc[-1], np.arctan2(y_dot, x_dot)])
 
 
 def anchor_points(params, first_angle, turn_angle):
