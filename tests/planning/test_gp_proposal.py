@@ -46,18 +46,18 @@ class Watching(RandomProposal):
 def test_statistics_are_those_of_all_visits(name, target):
     problem = drift()
     belief, search_planner = belief_of(problem), planner(name, 150, proposal=Watching(target))
-    tree = search(search_planner, jax.random.key(5), problem, belief)
+    tree = jax.device_get(search(search_planner, jax.random.key(5), problem, belief))
     expected = reference_tree(search_planner, jax.random.key(5), problem, belief)
     nodes = [(ROOT, expected)]
     for node, b in nodes:
         for slot, action in enumerate(b.actions):
             values = np.array(action.returns if target == "return" else action.rewards)
-            row = np.asarray(tree.totals[node, slot])
+            row = tree.totals[node, slot]
             np.testing.assert_allclose(row[0], len(values))
             np.testing.assert_allclose(row[1], sum(action.returns), rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(row[2], values.sum(), rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(row[3], len(values) * values.var(), rtol=1e-9, atol=1e-9)
-            branches = np.asarray(tree.branches[tree.children[node, slot]])
+            branches = tree.branches[tree.children[node, slot]]
             nodes += zip(branches.tolist(), action.branches, strict=False)
     assert sum(len(b.actions) for _, b in nodes) > 60
 

@@ -22,10 +22,8 @@ def roots(parameters, visits, returns):
 
 def pooled(space, roots, lengthscale, recommendation):
     """The action, its value and its visits, by loops."""
-    roots = [
-        [(jnp.asarray(a), float(n), float(r)) for a, n, r in zip(*root, strict=True)]
-        for root in zip(*roots, strict=True)
-    ]
+    coordinates, level = eqx.filter_jit(space.coordinates), eqx.filter_jit(space.level)
+    roots = [list(zip(*root, strict=True)) for root in zip(*jax.device_get(tuple(roots)), strict=True)]
     visited = [[each for each in root if each[1]] for root in roots]
     mean, visits = (lambda each: each[2] / each[1]), (lambda each: each[1])
     nominees = [max(root, key=mean if recommendation == "value" else visits)[0] for root in visited]
@@ -33,8 +31,8 @@ def pooled(space, roots, lengthscale, recommendation):
     for nominee in nominees:
         alike, total = 0.0, 0.0
         for action, n, r in sum(visited, []):
-            apart = np.asarray(space.coordinates(nominee) - space.coordinates(action))
-            if space.level(nominee) == space.level(action):
+            apart = np.asarray(coordinates(nominee)) - np.asarray(coordinates(action))
+            if level(nominee) == level(action):
                 similarity = np.exp(-0.5 * np.sum(apart**2) / lengthscale**2)
                 alike, total = alike + similarity * n, total + similarity * r
         judged.append((nominee, total / alike, alike))
