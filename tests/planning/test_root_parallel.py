@@ -39,6 +39,9 @@ def pooled(space, roots, lengthscale, recommendation):
     return max(judged, key=lambda each: each[1 if recommendation == "value" else 2])
 
 
+recommended = eqx.filter_jit(recommended_by_all)
+
+
 @eqx.filter_jit
 def plan(planner, key, problem, belief):
     return planner.plan(key, problem, belief)
@@ -84,7 +87,7 @@ def test_random_roots_are_pooled_as_loops_do(recommendation, seed):
     visits = rng.integers(0, 9, (4, 6)) + (np.arange(6) == 0)
     some = roots(rng.uniform(-1.0, 1.0, (4, 6, 2)), visits, visits * rng.normal(size=(4, 6)))
     action, value, alike = pooled(space, some, 0.4, recommendation)
-    best = recommended_by_all(space, some, number(0.4), recommendation == "value")
+    best = recommended(space, some, number(0.4), recommendation == "value")
     np.testing.assert_allclose(best.parameters, action)
     np.testing.assert_allclose([best.value, best.visits], [value, alike], rtol=1e-6)
 
@@ -92,11 +95,11 @@ def test_random_roots_are_pooled_as_loops_do(recommendation, seed):
 def test_angles_close_on_the_circle_are_alike_and_other_levels_are_not():
     space = Mixed(Box(-jnp.pi * jnp.ones(1), jnp.pi * jnp.ones(1), is_angle=True), jnp.arange(2.0))
     nearly_a_turn_apart = roots([[[-0.999, -0.5]], [[0.999, -0.5]]], [[1.0], [1.0]], [[1.0], [3.0]])
-    best = recommended_by_all(space, nearly_a_turn_apart, number(0.2), True)
+    best = recommended(space, nearly_a_turn_apart, number(0.2), True)
     assert best.visits == pytest.approx(2.0, abs=1e-3)
     assert best.value == pytest.approx(2.0, abs=1e-3)
     other_level = roots([[[-0.999, -0.5]], [[0.999, 0.5]]], [[1.0], [1.0]], [[1.0], [3.0]])
-    best = recommended_by_all(space, other_level, number(0.2), True)
+    best = recommended(space, other_level, number(0.2), True)
     assert (best.visits, best.value) == (1.0, 3.0)
 
 
@@ -109,6 +112,6 @@ def test_actions_of_a_list_are_pooled_with_themselves_alone():
         jnp.asarray([[4.0, 2.0, 0.0], [6.0, 3.0, 0.0]]),
     )
     # The means are 2 and 1 in the first tree, 1, 3 and 0 in the second; together 10 / 8 and 5 / 3.
-    best = recommended_by_all(space, some, number(0.2), True)
+    best = recommended(space, some, number(0.2), True)
     assert best.parameters == 1
     assert best.value == pytest.approx(5 / 3, rel=1e-4)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -42,10 +43,23 @@ def driven(paths):
     """The samples of paths driven one after the other, and whether each is taken."""
     pose, found = f64(POSE), []
     for path in paths:
-        drive = PROBLEM.arena.drive(pose, f64(path))
+        drive, pose, _ = followed(PROBLEM.arena, pose, f64(path))
         found.append(np.asarray(drive.poses[:, :2])[np.asarray(drive.is_driven)])
-        pose = PROBLEM.arena.end(drive)
     return found
+
+
+@eqx.filter_jit
+def followed(arena, pose, path):
+    """A drive along a path, its end and its cost."""
+    drive = arena.drive(pose, path)
+    return drive, arena.end(drive), arena.cost(drive)
+
+
+@eqx.filter_jit
+def simulated(problem, belief, paths, depth=None):
+    """The rewards of paths imagined one after the other."""
+    root, node = problem.root(belief, depth or len(paths))
+    return problem.simulate(jax.random.key(0), root, node, paths, None).rewards
 
 
 @pytest.mark.parametrize(
@@ -56,18 +70,15 @@ def test_rewards_are_what_a_refit_with_the_samples_reduces(objective, left):
     belief = field_belief(problem, POSE, 5)
     x = np.asarray(belief.posterior.x)[:5]
     _, paths = drives(3, seed=4)
-    root, node = problem.root(belief, 3)
-    simulate = jax.jit(lambda key: problem.simulate(key, root, node, f64(paths), None).rewards)
     costs = []
     expected, pose = [], f64(POSE)
     for samples, path in zip(driven(paths), paths, strict=True):
         before = left(x)
         x = np.concatenate([x, samples])
         expected.append(before - left(x))
-        drive = PROBLEM.arena.drive(pose, f64(path))
-        costs.append(float(PROBLEM.arena.cost(drive)))
-        pose = PROBLEM.arena.end(drive)
-    found = np.asarray(simulate(jax.random.key(0)))
+        _, pose, cost = followed(PROBLEM.arena, pose, f64(path))
+        costs.append(float(cost))
+    found = np.asarray(simulated(problem, belief, f64(paths)))
     np.testing.assert_allclose(found - costs, expected, atol=1e-9)
     assert min(expected) > 0.0
 
@@ -76,12 +87,11 @@ def test_rewards_are_what_a_refit_with_the_samples_reduces(objective, left):
 def test_the_world_pays_the_same_for_the_first_path(objective):
     problem = dataclasses.replace(PROBLEM, objective=objective)
     belief = field_belief(problem, POSE, 5)
-    world = dataclasses.replace(problem, start=f64(POSE)).reset(jax.random.key(0))
+    world = eqx.filter_jit(dataclasses.replace(problem, start=f64(POSE)).reset)(jax.random.key(0))
     _, paths = drives(3, seed=4)
     _, _, events = jax.jit(type(problem).execute)(problem, jax.random.key(1), world, f64(paths[0]))
-    root, node = problem.root(belief, 1)
-    imagined = problem.simulate(jax.random.key(2), root, node, f64(paths[:1]), None).rewards[0]
-    paid = problem.reward(None, belief, f64(paths[0]), events)
+    imagined = simulated(problem, belief, f64(paths[:1]))[0]
+    paid = eqx.filter_jit(problem.reward)(None, belief, f64(paths[0]), events)
     assert float(paid) == pytest.approx(float(imagined), abs=1e-12)
 
 
@@ -90,9 +100,8 @@ def test_a_planner_may_plan_for_information_in_another_task():
     belief = field_belief(problem, POSE, 5)
     _, paths = drives(1, seed=1)
     root, node = problem.with_objective(INFORMATION).root(belief, 2)
-    found = problem.simulate(jax.random.key(0), root, node, f64(paths), INFORMATION).rewards
-    expected = PROBLEM.simulate(jax.random.key(0), *PROBLEM.root(belief, 2), f64(paths), None).rewards
-    np.testing.assert_array_equal(found, expected)
+    found = eqx.filter_jit(problem.simulate)(jax.random.key(0), root, node, f64(paths), INFORMATION).rewards
+    np.testing.assert_array_equal(found, simulated(PROBLEM, belief, f64(paths), depth=2))
     assert problem.with_objective(None) is problem
     assert problem.with_objective(OBJECTIVES["value"]).root(belief, 2)[0].places is None
 
@@ -114,9 +123,5 @@ def test_a_sample_beside_another_explains_little():
     belief = field_belief(PROBLEM, POSE, 0)
     straight = np.stack([np.linspace(0.1, 0.6, SIZE), np.zeros(SIZE), np.zeros(SIZE)], axis=1)
     crowded = np.repeat(straight[:1], SIZE, axis=0)
-    root, node = PROBLEM.root(belief, 1)
-    wide, narrow = (
-        float(PROBLEM.simulate(jax.random.key(0), root, node, f64(path[None]), None).rewards[0])
-        for path in (straight, crowded)
-    )
+    wide, narrow = (float(simulated(PROBLEM, belief, f64(path[None]))[0]) for path in (straight, crowded))
     assert narrow < 0.7 * wide

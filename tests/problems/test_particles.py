@@ -159,8 +159,9 @@ def test_particles_follow_bayes():
     tiger = build(kinds("problem")["tiger"]())
     listen, left = jnp.zeros(1), jnp.zeros(1)
     belief = particles.initial(tiger, jax.random.key(7), 40_000)
+    update = eqx.filter_jit(particles.update)
     for step in range(2):
-        belief, collapsed = particles.update(tiger, jax.random.key(8 + step), belief, listen, left)
+        belief, collapsed = update(tiger, jax.random.key(8 + step), belief, listen, left)
         assert not collapsed
         odds = (0.15 / 0.85) ** (step + 1)
         assert belief.mean[0] == pytest.approx(odds / (1.0 + odds), abs=0.01)

@@ -19,7 +19,7 @@ def test_a_state_is_drawn_within_its_scenery(kind):
     problem = build(kinds("problem")[kind]())
     outline = problem.outline()
     border = None if outline is None else outline.as_numbers()["border"]
-    points = problem.sketch(problem.initial(jax.random.key(0)))
+    points = eqx.filter_jit(lambda key: problem.sketch(problem.initial(key)))(jax.random.key(0))
     assert {point.shape for point in points.values()} in ({(1,)}, {(2,)})
     if border is not None:
         for point in np.stack(list(points.values())):
