@@ -341,7 +341,7 @@ def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch, program)
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 99 bytes.")
 
     monkeypatch.setattr(batch.Programs, program, exhausted)
-    assert run_toy(tmp_path / "toy", runs=64, lanes_per_device=16) == 1
+    assert run_toy(tmp_path / "toy", {"scale": 1.0}, runs=64, lanes_per_device=16) == 1
     line = one_error(capsys)
     assert "16 lanes per device: try engine.lanes_per_device=8" in line
 
@@ -523,14 +523,15 @@ def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
     def full(*_):
         raise ResultsError("the disk is full", exit_code=1)
 
+    points = {"scale": 1.0}, {"scale": 2.0}  # a chunk each
     with monkeypatch.context() as patch:
         if moment == "fail":
             patch.setattr(program_cache, "compiled", lambda *_: 1 / 0)
         patch.setattr(AttemptRegistry, "end" if moment == "fail" else moment, full)
-        assert run_toy(tmp_path / "toy") == 1
+        assert run_toy(tmp_path / "toy", *points) == 1
     assert one_error(capsys) == "error: the disk is full"
     assert all(chunk["status"] != "failed" for chunk in read_manifest(tmp_path / "toy")["chunks"])
-    assert run_toy(tmp_path / "toy", resume=True) == 0
+    assert run_toy(tmp_path / "toy", *points, resume=True) == 0
 
 
 def fail_for_scale(scale):
