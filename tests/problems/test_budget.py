@@ -3,7 +3,6 @@
 import dataclasses
 import json
 
-import equinox as eqx
 import jax
 import numpy as np
 import pyarrow.parquet as pq
@@ -111,9 +110,8 @@ def test_errors_in_a_region_are_those_of_plain_numpy():
     region = (0.5, 0.4, 1.6, 2.0)  # over a wall, whose points do not count
     problem = monitoring(errors_by_step=True, region=f64(region))
     whole = monitoring(errors_by_step=True)
-    belief = field_belief(problem, (0.5, 1.2, 0.5), 9)
-    world = eqx.filter_jit(problem.reset)(jax.random.key(0))
-    row = eqx.filter_jit(problem.belief_row)(world, belief)
+    belief, world = field_belief(problem, (0.5, 1.2, 0.5), 9), problem.reset(jax.random.key(0))
+    row = problem.belief_row(world, belief)
     assert [column.name for column in problem.step_columns][-6:] == list(row)
     points = np.asarray(problem.grid())
     mean, variance = (np.asarray(each) for each in belief.posterior.predict(f64(points)))
@@ -127,7 +125,7 @@ def test_errors_in_a_region_are_those_of_plain_numpy():
     expected = {"rmse": np.sqrt(np.mean(error**2)), "mnll": nll.mean(), "mean_std": np.sqrt(variance).mean()}
     for name, value in expected.items():
         np.testing.assert_allclose(row[f"{name}_region"], value, rtol=1e-9)
-    assert {name: row[name] for name in expected} == eqx.filter_jit(whole.belief_row)(world, belief)
+    assert {name: row[name] for name in expected} == whole.belief_row(world, belief)
 
 
 def test_a_region_needs_errors_by_step_and_points_of_the_grid():
