@@ -1,7 +1,7 @@
 """The shortest ways in an area from everywhere to one point, as a table of the next corner of each."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -22,28 +22,33 @@ class ShortestWays:
     """Shortest ways to a point, as of `bojax.problems.ways_to_end.WaysToEnd`.
 
     Attributes:
-        corners: Corners of the border at which ways bend, and last the point `[C, 2]`, m.
-        following: Index `[C]` of the corner after each; that of the point is its own.
+        corners: Corners at which ways bend, and last the point `[C, 2]`, m.
+        chains: Indices `[C, L]` of the corners on the way from each, itself first; the point is repeated.
         rest: Distance `[C]` from each corner to the point, m.
         first: Index `[H, W]` of the first corner for positions around each grid point; the first axis is y.
         origin: Position of `first[0, 0]`, m.
         spacing: Distance between two grid points, m.
-        legs: Largest number of straight pieces of a way.
     """
 
     corners: np.ndarray
-    following: np.ndarray
+    chains: np.ndarray
     rest: np.ndarray
     first: np.ndarray
     origin: np.ndarray
     spacing: float
-    legs: int
+
+
+class _Tree(NamedTuple):
+    """Corners and last the point, for each the index of the next one and the distance to the point."""
+
+    corners: np.ndarray
+    following: np.ndarray
+    rest: np.ndarray
 
 
 def shortest_ways(shape: "BaseGeometry", end: np.ndarray) -> ShortestWays:
     """The shortest ways in a polygon to a point `[2]` in it."""
     transfers = Transfers(shape)
-    corners, following, rest = _tree(transfers, end)
     x_min, y_min, x_max, y_max = shape.bounds
     spacing = max(x_max - x_min, y_max - y_min) / CELLS
     columns, rows = (
@@ -52,21 +57,26 @@ def shortest_ways(shape: "BaseGeometry", end: np.ndarray) -> ShortestWays:
     )
     x, y = np.meshgrid(columns, rows)
     is_inside = shapely_module().intersects_xy(shape, x, y)
-    first = np.full(x.shape, len(rest) - 1)
-    first[is_inside] = _first(transfers, np.stack([x[is_inside], y[is_inside]], axis=1), corners, rest)
+    points = np.stack([x[is_inside], y[is_inside]], axis=1)
+    if transfers.has_few_corners:
+        tree = _by_sight(transfers, end)
+        found = _first_in_sight(transfers, points, tree)
+    else:
+        tree, found = _by_triangles(transfers, end, points)
+    first = np.full(x.shape, len(tree.rest) - 1)
+    first[is_inside] = found
     # A position beside the border may be nearest to a grid point outside.
     nearest = distance_transform_edt(~is_inside, return_distances=False, return_indices=True)
     first = first[tuple(np.asarray(nearest))]
-    legs = np.ones(len(rest), int)
-    for corner in np.argsort(rest):
-        if following[corner] != corner:
-            legs[corner] = legs[following[corner]] + 1
+    chains = [np.arange(len(tree.rest))]
+    while np.any(chains[-1][first] != len(tree.rest) - 1):
+        chains.append(tree.following[chains[-1]])
     origin = np.array([x_min, y_min])
-    return ShortestWays(corners, following, rest, first, origin, spacing, int(legs[first].max()))
+    return ShortestWays(tree.corners, np.stack(chains, axis=1), tree.rest, first, origin, spacing)
 
 
-def _tree(transfers: Transfers, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The corners from which the point is reached, and last the point, with `following` and `rest`."""
+def _by_sight(transfers: Transfers, end: np.ndarray) -> _Tree:
+    """The corners from which the point is reached in the visibility graph."""
     corners, lengths = transfers.graph
     number = len(corners)
     apart = np.linalg.norm(corners - end, axis=1)
@@ -78,23 +88,55 @@ def _tree(transfers: Transfers, end: np.ndarray) -> tuple[np.ndarray, np.ndarray
     is_reached = np.isfinite(rest)
     before[number] = number
     renumbered = np.cumsum(is_reached) - 1
-    return (
+    return _Tree(
         np.concatenate([corners, end[None]])[is_reached],
         renumbered[before[is_reached]],
         rest[is_reached],
     )
 
 
-def _first(transfers: Transfers, points: np.ndarray, corners: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _first_in_sight(transfers: Transfers, points: np.ndarray, tree: _Tree) -> np.ndarray:
     """The first corner on the shortest way from each point: the one of least total length in sight."""
-    totals = np.linalg.norm(points[:, None] - corners, axis=2) + rest
+    totals = np.linalg.norm(points[:, None] - tree.corners, axis=2) + tree.rest
     order = np.argsort(totals, axis=1)
     first, is_open = order[:, 0].copy(), np.arange(len(points))
     for rank in range(order.shape[1]):
         candidates = order[is_open, rank]
-        is_clear = transfers.are_clear(points[is_open], corners[candidates])
+        is_clear = transfers.are_clear(points[is_open], tree.corners[candidates])
         first[is_open[is_clear]] = candidates[is_clear]
         is_open = is_open[~is_clear]
         if not len(is_open):
             break
     return first
+
+
+def _by_triangles(transfers: Transfers, end: np.ndarray, points: np.ndarray) -> tuple[_Tree, np.ndarray]:
+    """Ways along edges of triangles, shortened by line of sight, and the first corner from each point."""
+    corners, following, rest = transfers.triangles.tree(end, transfers.reach)
+    for corner in np.argsort(rest)[1:]:  # those that follow are done
+        after = following[corner]
+        while (beyond := following[after]) != after and transfers.are_clear(*corners[[[corner], [beyond]]])[
+            0
+        ]:
+            after = beyond
+        following[corner], rest[corner] = (
+            after,
+            np.linalg.norm(corners[corner] - corners[after]) + rest[after],
+        )
+    around = transfers.triangles.around_each(points, transfers.reach)
+    totals = np.linalg.norm(points[:, None] - corners[around], axis=2) + rest[around]
+    first = np.take_along_axis(around, np.argmin(totals, axis=1)[:, None], axis=1)[:, 0]
+    is_open = np.arange(len(points))
+    while len(is_open):
+        beyond = following[first[is_open]]
+        is_clear = transfers.are_clear(points[is_open], corners[beyond])
+        is_clear &= beyond != first[is_open]
+        is_open = is_open[is_clear]
+        first[is_open] = beyond[is_clear]
+    is_used = np.zeros(len(rest), bool)
+    is_used[-1], now = True, np.unique(first)
+    while not is_used[now].all():
+        is_used[now] = True
+        now = np.unique(following[now])
+    renumbered = np.cumsum(is_used) - 1
+    return _Tree(corners[is_used], renumbered[following[is_used]], rest[is_used]), renumbered[first]

@@ -46,7 +46,7 @@ class Transfers:
         self._shape = shape.buffer(self._tolerance)
         shapely.prepare(self._shape)
         self._simple = shape.buffer(-clearance, quad_segs=2) if clearance > 0.0 else shape
-        self._reach = self._tolerance + 2.0 * clearance  # of a triangle
+        self.reach = self._tolerance + 2.0 * clearance  # of a triangle
         self._otherwise = Transfers(shape) if clearance > 0.0 else None
 
     def are_clear(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -63,8 +63,7 @@ class Transfers:
         """
         if self.are_clear(first[None], last[None])[0]:
             return np.stack([first, last])
-        is_small = len(self._corners) <= MOST_CORNERS
-        path = self._seen(first, last) if is_small else self._shortened(first, last)
+        path = self._seen(first, last) if self.has_few_corners else self._shortened(first, last)
         if path is None and self._otherwise is not None:
             return self._otherwise.path(first, last)
         if path is None:
@@ -91,7 +90,7 @@ class Transfers:
 
     def _shortened(self, first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
         """A way along edges of triangles, from each waypoint of which the next is the last in sight."""
-        way = self._triangles.way(first, last, self._reach)
+        way = self.triangles.way(first, last, self.reach)
         if way is None:
             return None
         kept = [0]
@@ -110,42 +109,30 @@ class Transfers:
             last, begin, size = begin + int(seen[-1]), begin + size, 2 * size
         return last
 
+    @property
+    def has_few_corners(self) -> bool:
+        """Whether paths are those of the visibility graph, and not of the triangulation."""
+        return len(self.corners) <= MOST_CORNERS
+
     @cached_property
-    def _triangles(self) -> Triangles:
+    def triangles(self) -> Triangles:
+        """The triangulation of the shape."""
         return Triangles(self._simple)
 
     @cached_property
-    def _corners(self) -> np.ndarray:
+    def corners(self) -> np.ndarray:
+        """The corners `[C, 2]` at which shortest paths bend."""
         return _outer_corners(self._simple)
 
     @cached_property
     def graph(self) -> tuple[np.ndarray, np.ndarray]:
-        """The corners `[C, 2]` at which paths bend, and the lengths between those that see each other.
-
-        Of more than `MOST_CORNERS`, the outline is simplified, so that some places may see no corner.
-        """
-        corners = self._bends()
+        """The corners at which paths bend, and the lengths between those that see each other."""
+        corners = self.corners
         lengths = np.linalg.norm(corners[:, None] - corners[None], axis=2)
         first, last = np.triu_indices(len(corners), 1)
         is_clear = np.zeros(lengths.shape, bool)
         is_clear[first, last] = self.are_clear(corners[first], corners[last])
         return corners, np.where(is_clear | is_clear.T, lengths, np.inf)
-
-    def _bends(self) -> np.ndarray:
-        """Corners of the border that a path can turn around.
-
-        An outline with too many corners is simplified after it was drawn in, so that it stays in the shape.
-        """
-        shapely = shapely_module()
-        bends = self._corners
-        x_min, y_min, x_max, y_max = self._simple.bounds
-        tolerance = 1e-3 * max(x_max - x_min, y_max - y_min)
-        while len(bends) > MOST_CORNERS:
-            drawn_in = self._simple.buffer(-tolerance, join_style="mitre")
-            bends = _outer_corners(drawn_in.simplify(tolerance / 2))
-            tolerance *= 1.5
-        shapely.prepare(self._shape)
-        return bends
 
 
 def _outer_corners(shape: "BaseGeometry") -> np.ndarray:

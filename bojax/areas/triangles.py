@@ -55,6 +55,27 @@ class Triangles:
                 return points[nodes_to(number + 1, before)]
         return None
 
+    def tree(self, end: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The shortest ways along edges from all corners to a point.
+
+        Returns:
+            The corners and last the point `[C + 1, 2]`, for each the index of the next one, which for the
+            point is its own, and the length of the way from it, which is infinite if there is none.
+        """
+        number, near = len(self._corners), self._around(end, tolerance)
+        points = np.concatenate([self._corners, end[None]])
+        edges = np.concatenate([self._edges, [np.full(len(near), number), near]], axis=1)
+        graph = csr_array((_lengths(points, edges), edges), shape=(number + 1, number + 1))
+        rest, following = dijkstra(graph, indices=number, return_predecessors=True)
+        following[number] = number
+        return points, following, rest
+
+    def around_each(self, points: np.ndarray, tolerance: float) -> np.ndarray:
+        """Indices `[N, 3]` of the corners of a triangle that each point is in."""
+        shapely = shapely_module()
+        of, found = self._tree.query(shapely.points(points), predicate="dwithin", distance=tolerance)
+        return self._triangles[found[np.unique(of, return_index=True)[1]]]
+
     def _around(self, point: np.ndarray, tolerance: float) -> np.ndarray:
         """Indices of the corners of the triangles that a point is in."""
         found = self._tree.query(shapely_module().Point(point), predicate="dwithin", distance=tolerance)

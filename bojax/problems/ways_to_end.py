@@ -24,31 +24,29 @@ class WaysToEnd(eqx.Module):
 
     Attributes:
         corners: Where ways bend, and last the end point, m.
-        following: Index of the corner after each; that of the end point is its own.
+        chains: Indices of the corners on the way from each, itself first; the end point is repeated.
         rest: Distance from each corner to the end point along its way, m.
         first: Index of the first corner for positions around each grid point; the first axis is y.
         origin: Position of `first[0, 0]`, m.
         spacing: Distance between two grid points, m.
         slack: Distance that is reserved for errors of the lookup, m.
-        legs: Largest number of straight pieces of a way.
     """
 
     corners: Float[Array, "C 2"]
-    following: Int[Array, "C"]
+    chains: Int[Array, "C L"]
     rest: Float[Array, "C"]
     first: Int[Array, "H W"]
     origin: Float[Array, "2"]
     spacing: Float[Array, ""]
     slack: Float[Array, ""]
-    legs: int = eqx.field(static=True)
 
     @classmethod
     def straight(cls, end: Float[Array, "2"]) -> "WaysToEnd":
         """Straight ways, without obstacles."""
         zeros = jnp.zeros((1,), end.dtype)
-        index = jnp.zeros((1,), jnp.int32)
+        index = jnp.zeros((1, 1), jnp.int32)
         origin, one, none = jnp.zeros_like(end), jnp.ones_like(zeros[0]), zeros[0]
-        return cls(end[None], index, zeros, index[None], origin, one, none, legs=1)
+        return cls(end[None], index, zeros, index, origin, one, none)
 
     def reserve(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
         """Distance that has to be left at each point to reach the end point, m."""
@@ -64,14 +62,9 @@ class WaysToEnd(eqx.Module):
         away = points - self.corners[first]
         return jnp.sqrt(away[..., 0] ** 2 + away[..., 1] ** 2) + self.rest[first]
 
-    def way(self, point: Float[Array, "2"]) -> Float[Array, "L 2"]:
-        """The shortest way from a point, as a polyline of `legs + 1` points; the end point is repeated."""
-        corner = self._first(point)
-        points = [point]
-        for _ in range(self.legs):
-            points.append(self.corners[corner])
-            corner = self.following[corner]
-        return jnp.stack(points)
+    def way(self, point: Float[Array, "2"]) -> Float[Array, "W 2"]:
+        """The shortest way from a point, as a polyline of L + 1 points; the end point is repeated."""
+        return jnp.concatenate([point[None], self.corners[self.chains[self._first(point)]]])
 
     def drive(self, pose: Pose, path: Path) -> tuple[Drive, Float[Array, ""]]:
         """The part of the way from a pose that is as long as a path, and the distance left to the end.
@@ -125,13 +118,12 @@ def ways_around(
     ways = shortest_ways(parts[0], target)
     return WaysToEnd(
         corners=jnp.asarray(ways.corners, end.dtype),
-        following=jnp.asarray(ways.following, jnp.int32),
+        chains=jnp.asarray(ways.chains, jnp.int32),
         rest=jnp.asarray(ways.rest, end.dtype),
         first=jnp.asarray(ways.first, jnp.int32),
         origin=jnp.asarray(ways.origin, end.dtype),
         spacing=jnp.asarray(ways.spacing, end.dtype),
         slack=jnp.asarray(0.1 * ways.spacing, end.dtype),
-        legs=ways.legs,
     )
 
 

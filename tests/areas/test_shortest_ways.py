@@ -1,5 +1,6 @@
 """Shortest ways to one point, from a table, beside those of the visibility graph from every position."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,10 +22,22 @@ def comb(num_walls):
     return shape.difference(shapely.Point(9.7, 9.7).buffer(0.5))
 
 
+def channel():
+    """A winding channel with a ragged border, too narrow for an outline that is simplified."""
+    rng = np.random.default_rng(1)
+    headings = np.cumsum(rng.normal(0.0, 0.6, 120))
+    middle = np.cumsum(30.0 * np.stack([np.cos(headings), np.sin(headings)], axis=1), axis=0)
+    smooth = shapely.segmentize(shapely.LineString(middle).buffer(12.0), 6.0)
+    ragged = [
+        shapely.LinearRing(np.asarray(ring.coords)[:-1] + rng.normal(0.0, 3.0, (len(ring.coords) - 1, 2)))
+        for ring in (smooth.exterior, *smooth.interiors)
+    ]
+    return max(shapely.get_parts(shapely.Polygon(ragged[0], ragged[1:]).buffer(0)), key=shapely.area)
+
+
 def table(shape, end):
     found = shortest_ways(shape, end)
-    arrays = {name: jnp.asarray(value) for name, value in vars(found).items() if name != "legs"}
-    return WaysToEnd(**arrays, slack=jnp.asarray(0.0), legs=found.legs)
+    return WaysToEnd(**jax.tree.map(jnp.asarray, vars(found)), slack=jnp.asarray(0.0))
 
 
 @pytest.mark.parametrize(
@@ -45,3 +58,29 @@ def test_ways_are_as_short_as_those_of_the_visibility_graph(shape):
         np.testing.assert_array_equal(way[-1], end)
         assert np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1)) == pytest.approx(length, abs=0.01)
         assert shapely.buffer(shape, 0.1).covers(shapely.LineString(way))
+
+
+def test_ways_around_many_corners_stay_in_the_shape(monkeypatch):
+    shape = channel()
+    transfers, end = Transfers(shape), np.asarray(shape.representative_point().coords[0])
+    assert not transfers.has_few_corners
+    found = shortest_ways(shape, end)
+    rows, columns = np.nonzero(np.ones(found.first.shape, bool))
+    points = found.origin + found.spacing * np.stack([columns, rows], axis=1)
+    first = found.first[rows, columns][is_inside := shapely.intersects_xy(shape, *points.T)]
+    points = points[is_inside]
+    assert len(points) > 500
+    assert transfers.are_clear(points, found.corners[first]).all()
+    following = found.chains[:, min(1, found.chains.shape[1] - 1)]
+    assert transfers.are_clear(found.corners, found.corners[following]).all()
+    assert (found.chains[first, -1] == len(found.corners) - 1).all()
+    legs = np.linalg.norm(found.corners - found.corners[following], axis=1)
+    np.testing.assert_allclose(found.rest, legs + found.rest[following])
+    # Beside the visibility graph, whatever the number of its corners.
+    monkeypatch.setattr("bojax.areas.transfers.MOST_CORNERS", 10**6)
+    lengths = np.linalg.norm(points - found.corners[first], axis=1) + found.rest[first]
+    some = np.random.default_rng(0).choice(len(points), 8, replace=False)
+    ways = [transfers.path(point, end) for point in points[some]]
+    shortest = np.array([np.sum(np.linalg.norm(np.diff(way, axis=0), axis=1)) for way in ways])
+    longer = lengths[some] / shortest
+    assert longer.min() >= 1.0 - 1e-9 and longer.max() <= 1.15 and longer.mean() <= 1.05
