@@ -19,7 +19,7 @@ from bojax.fields.scale import unit_doubt
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.results.store import write_arrays
-from bojax.surveys.beliefs import belief_from, model_of, predict_near
+from bojax.surveys.beliefs import belief_from, model_of
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.lawnmower import Ground, too_small
 from bojax.surveys.planning import Demand, lawnmower_guesses
@@ -38,8 +38,7 @@ MOST_EXACT = 256
 
 Hyper-parameters are learned from as many of them at most."""
 
-MOST_MAPPED = 1024  # measurements up to which predictions are exact
-NEIGHBOURS = 128  # nearest measurements that each is made from, if there are more
+MOST_MAPPED = 1024  # the same in a prediction
 
 RELEARNING = 2**31  # first of the numbers that are folded into the keys of relearning; plans have small ones
 NOTHING: Waypoints = np.zeros((0, 2))
@@ -446,11 +445,12 @@ class Mission:
 
         It has room for a power of two of them or, beyond `MOST_EXACT`, is a `sparse_posterior`.
         """
-        return belief_from(self.hyperparameters, self._x, self._standardised, MOST_EXACT, self._expected)
+        return self._belief(MOST_EXACT)
 
-    @property
-    def _standardised(self) -> np.ndarray:
-        return (self._y - self._shift) / self._scale
+    def _belief(self, most: int) -> GaussianProcess:
+        """The belief, exact up to a number of measurements, with room for all that the budget allows."""
+        values = (self._y - self._shift) / self._scale
+        return belief_from(self.hyperparameters, self._x, values, most, self._expected)
 
     def _learned_from(self) -> GaussianProcess:
         """The exact belief from a random part of the measurements, if there are many."""
@@ -458,22 +458,18 @@ class Mission:
         if self.num_measurements > MOST_EXACT:
             random = np.random.default_rng([self.seed, self.num_measurements])
             chosen = np.sort(random.choice(chosen, MOST_EXACT, replace=False))
-        values = self._standardised[chosen]
+        values = (self._y[chosen] - self._shift) / self._scale
         return belief_from(self.hyperparameters, self._x[chosen], values, MOST_EXACT)
 
-    def predict(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
+    def predict(self, points: Any, most: int = MOST_MAPPED) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values.
 
-        Up to `MOST_MAPPED` measurements they are exact; of more, each is that given the `NEIGHBOURS` nearest.
+        Up to `most` measurements they are exact; of more, the belief is summarised at as many points.
         """
-        points, given = np.asarray(points, float), (self.hyperparameters, self._x, self._standardised)
-        if self.num_measurements > MOST_MAPPED:
-            mean, variance = predict_near(*given, points, NEIGHBOURS)
-        else:
-            with jax.enable_x64(True):
-                belief = belief_from(*given, MOST_MAPPED, self._expected)
-                mean, variance = map(np.asarray, belief.predict(points))
-        return self._shift + self._scale * mean, self._scale * np.sqrt(variance)
+        with jax.enable_x64(True):
+            mean, variance = self._belief(most).predict(np.asarray(points, float))
+            deviation = np.sqrt(np.asarray(variance))
+        return self._shift + self._scale * np.asarray(mean), self._scale * deviation
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
