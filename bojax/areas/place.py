@@ -33,7 +33,7 @@ _SIZE = re.compile(r"([\d.eE+]+)\s*(k?m)?\s*x\s*([\d.eE+]+)\s*(k?m)?")
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """What was read from a file, or an even part of it, to be drawn.
+    """Values of a file, thinned for drawing.
 
     Attributes:
         file: Its name.

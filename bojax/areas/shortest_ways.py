@@ -113,16 +113,16 @@ def _first_in_sight(transfers: Transfers, points: np.ndarray, tree: _Tree) -> np
 def _by_triangles(transfers: Transfers, end: np.ndarray, points: np.ndarray) -> tuple[_Tree, np.ndarray]:
     """Ways along edges of triangles, shortened by line of sight, and the first corner from each point."""
     corners, following, rest = transfers.triangles.tree(end, transfers.reach)
+
+    def sees(first: np.ndarray, last: np.ndarray) -> bool:
+        return bool(transfers.are_clear(first[None], last[None])[0])
+
     for corner in np.argsort(rest)[1:]:  # those that follow are done
         after = following[corner]
-        while (beyond := following[after]) != after and transfers.are_clear(*corners[[[corner], [beyond]]])[
-            0
-        ]:
-            after = beyond
-        following[corner], rest[corner] = (
-            after,
-            np.linalg.norm(corners[corner] - corners[after]) + rest[after],
-        )
+        while following[after] != after and sees(corners[corner], corners[following[after]]):
+            after = following[after]
+        following[corner] = after
+        rest[corner] = np.linalg.norm(corners[corner] - corners[after]) + rest[after]
     around = transfers.triangles.around_each(points, transfers.reach)
     totals = np.linalg.norm(points[:, None] - corners[around], axis=2) + rest[around]
     first = np.take_along_axis(around, np.argmin(totals, axis=1)[:, None], axis=1)[:, 0]

@@ -47,7 +47,7 @@ class Transfers:
         shapely.prepare(self._shape)
         self._simple = shape.buffer(-clearance, quad_segs=2) if clearance > 0.0 else shape
         self.reach = self._tolerance + 2.0 * clearance  # of a triangle
-        self._otherwise = Transfers(shape) if clearance > 0.0 else None
+        self._without_clearance = Transfers(shape) if clearance > 0.0 else None
 
     def are_clear(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the shape."""
@@ -64,8 +64,8 @@ class Transfers:
         if self.are_clear(first[None], last[None])[0]:
             return np.stack([first, last])
         path = self._seen(first, last) if self.has_few_corners else self._shortened(first, last)
-        if path is None and self._otherwise is not None:
-            return self._otherwise.path(first, last)
+        if path is None and self._without_clearance is not None:
+            return self._without_clearance.path(first, last)
         if path is None:
             raise ValueError(f"no path in the area joins {_shown(first)} and {_shown(last)}")
         return path

@@ -15,7 +15,7 @@ from bojax.experiments.base import Experiment
 LANES_ON_ACCELERATOR = 4096
 """Default maximum of lanes on an accelerator; on a CPU it is `Experiment.lanes_on_cpu`.
 
-`Experiment.most_lanes_on_gpu` is lower where memory would not suffice.
+A learner may ask for fewer, as of `Experiment.lanes_on_gpu`.
 """
 
 QUEUE_ON_CPU, QUEUE_ON_ACCELERATOR = 64, 4 * LANES_ON_ACCELERATOR
@@ -83,7 +83,7 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
         given: Number of lanes chosen by the user; None for the default.
     """
     is_cpu = platform == "cpu"
-    on_gpu = min(LANES_ON_ACCELERATOR, experiment.most_lanes_on_gpu or LANES_ON_ACCELERATOR)
+    on_gpu = min(LANES_ON_ACCELERATOR, experiment.lanes_on_gpu)
     limit = given or (experiment.lanes_on_cpu if is_cpu else on_gpu)
     longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else QUEUE_ON_ACCELERATOR
     useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / on_gpu)

@@ -56,9 +56,9 @@ class Experiment(eqx.Module):
         return 16
 
     @property
-    def most_lanes_on_gpu(self) -> int | None:
-        """Largest number of lanes for which a GPU has memory; None if the default is never too large."""
-        return None
+    def lanes_on_gpu(self) -> int:
+        """Default number of lanes of a GPU, whose memory limits it."""
+        return 4096
 
     @property
     def runs_on_cpu(self) -> int:

@@ -175,8 +175,8 @@ class LearningRun(Experiment):
 
     @property
     @override
-    def most_lanes_on_gpu(self) -> int | None:
-        return self.learner.most_lanes_on_gpu
+    def lanes_on_gpu(self) -> int:
+        return self.learner.lanes_on_gpu
 
     @property
     @override

@@ -75,9 +75,9 @@ class Learner(eqx.Module):
     block: eqx.AbstractVar[int]
 
     @property
-    def most_lanes_on_gpu(self) -> int | None:
-        """Largest number of lanes for which a GPU has memory; None if the default is never too large."""
-        return None
+    def lanes_on_gpu(self) -> int:
+        """Default number of lanes of a GPU, whose memory limits it."""
+        return 4096
 
     @property
     @abc.abstractmethod

@@ -172,8 +172,8 @@ class EMUQ(Learner):
 
     @property
     @override
-    def most_lanes_on_gpu(self) -> int:
-        # With 500 features, a refit with variances takes some 90 MB a run, without them 20 MB.
+    def lanes_on_gpu(self) -> int:
+        # With 500 features, a refit with variances took 91 MB a run, and one without 30 MB.
         return 200 if self.optimistic_u else 800
 
     @property

@@ -41,20 +41,20 @@ def update(
     """The belief after an action and an observation."""
     mean = model.transition @ belief.mean + model.control @ action
     covariance = model.transition @ belief.covariance @ model.transition.T + model.process_covariance
-    surprise = observation - model.sensor @ mean
-    return condition(Gaussian(mean, covariance), model.sensor, model.sensor_covariance, surprise)
+    innovation = observation - model.sensor @ mean
+    return condition(Gaussian(mean, covariance), model.sensor, model.sensor_covariance, innovation)
 
 
 def condition(
     predicted: Gaussian,
     sensor: Float[Array, "O D"],
     sensor_covariance: Float[Array, "O O"],
-    surprise: Float[Array, "O"],
+    innovation: Float[Array, "O"],
 ) -> Gaussian:
-    """The belief after an observation that differs from its mean by `surprise`."""
-    innovation = sensor @ predicted.covariance @ sensor.T + sensor_covariance
-    gain = jnp.linalg.solve(innovation, sensor @ predicted.covariance).T
+    """The belief after an observation that differs from its mean by `innovation`."""
+    innovation_covariance = sensor @ predicted.covariance @ sensor.T + sensor_covariance
+    gain = jnp.linalg.solve(innovation_covariance, sensor @ predicted.covariance).T
     # Joseph's form: a sum of two positive semi-definite matrices, whatever the rounding of the gain.
     kept = jnp.eye(predicted.mean.shape[0], dtype=gain.dtype) - gain @ sensor
     updated = kept @ predicted.covariance @ kept.T + gain @ sensor_covariance @ gain.T
-    return Gaussian(predicted.mean + gain @ surprise, updated)
+    return Gaussian(predicted.mean + gain @ innovation, updated)

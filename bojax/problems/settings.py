@@ -366,7 +366,12 @@ class FieldProblem(ProblemSettings, frozen=True):
             frame = self.field.file if frame_of(self.field.file).crs is not None else None
         if frame is not None:
             object.__setattr__(self, "region", self.region.model_copy(update={"frame": frame}))
-        _ = self.region.place  # in another system than the frame, it is refused
+        # In another system than the frame, it is refused.
+        if self.region.place.projection.crs is not None and frame is None:
+            raise ValueError(
+                f"region: {self.region.file} is in degrees or a map projection, and the problem has no place "
+                "on the Earth; allowed: a file in metres, or region.frame"
+            )
         return self
 
     @property

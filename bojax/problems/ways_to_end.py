@@ -20,7 +20,8 @@ class WaysToEnd(eqx.Module):
 
     A shortest way is a polyline: straight from a position to the first corner of an obstacle at which it
     bends, or to the end point, and on from there. A lookup of the first corner makes the distance exact and
-    as cheap as a straight line, whatever the obstacles; where corners change, it is off by a little.
+    as cheap as a straight line, whatever the obstacles. From a position between two grid points, the first
+    leg may cut a corner, or a wall narrower than their distance, and the distance is then off.
 
     Attributes:
         corners: Where ways bend, and last the end point, m.

@@ -153,7 +153,7 @@ def _draw_read(maps: Mapping[str, np.ndarray], file: str, rows: np.ndarray) -> D
     # Squares that would tile the places, but no larger than a marker that shows one value.
     width, height = np.maximum(np.ptp(rows[:, :2], axis=0), 1e-9) / scale
     inches = axes.get_position().width * figure.get_figwidth() / np.ptp(axes.get_xlim())
-    size = min(72.0 * inches * (width * height / len(rows)) ** 0.5, 6.0)
+    size = np.clip(72.0 * inches * (width * height / len(rows)) ** 0.5, 2.0, 6.0)  # places may lie on a line
     drawn = axes.scatter(
         *(rows[:, :2] / scale).T,
         c=rows[:, 2],
@@ -169,8 +169,8 @@ def _draw_read(maps: Mapping[str, np.ndarray], file: str, rows: np.ndarray) -> D
     return Drawing(
         figure,
         f"What was read from {name}",
-        f"{counted(len(rows), 'value')} of {name} as they were read, from {low} to {high}; of a large file, "
-        "an even part is drawn. The line is the border of the area.",
+        f"{counted(len(rows), 'value')} of {name}, from {low} to {high}; large files are thinned. The "
+        "line is the border of the area.",
         f"A map of the values of {name}, from {low} to {high}.",
     )
 

@@ -13,7 +13,9 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.linalg import matmul
 from bojax.surveys.information import PointErrors, path_length, points_at, samples_of_all
 
-SAVED = 0.9  # share of the length that arcs save which is used: the rest is for changes of the turns
+SAVED = 0.9
+"""Share of the length saved by arcs that may be spent; the rest allows for later changes of the turns."""
+
 EXACT = 1.0 - 1e-12  # share of the budget that is used, so that rounding does not exceed it
 
 
@@ -117,13 +119,13 @@ class Limits(eqx.Module):
     Attributes:
         distance: Signed distance to the border of the area, m, negative outside; None without a border.
         clearance: Distance that the route keeps from the border, m.
-        turning_radius: Least radius of its turns, m; 0 for any.
+        turning_radius: Least radius of its turns, m; None for any.
         separation: Least distance between two robots that have driven equally far, m; 0 for any.
     """
 
     distance: PyTree
     clearance: Float[Array, ""]
-    turning_radius: Float[Array, ""]
+    turning_radius: Float[Array, ""] | None
     separation: Float[Array, ""]
 
     def penalty(self, routes: Float[Array, "K W 2"], step: Float[Array, ""], number: int) -> Scalar:
@@ -151,31 +153,35 @@ class Limits(eqx.Module):
         if self.distance is not None:
             lacking = jnp.maximum(self.clearance - self.distance(points), 0.0)
             total = total + jnp.sum(lacking**2) / step**2
-        return total + jnp.sum(_lacking(route, self.turning_radius) ** 2) / step**2
+        if self.turning_radius is not None:
+            total = total + jnp.sum(_smooth_lacking(route, self.turning_radius) ** 2) / step**2
+        return total
+
+    def saved_by_arcs(self, route: Float[Array, "W 2"]) -> Scalar:
+        """Most of the length by which arcs at the corners of a route are shorter than its legs, m."""
+        if self.turning_radius is None:
+            return jnp.zeros((), route.dtype)
+        tangents, _ = _smooth_half_tangents(route)
+        return SAVED * jnp.sum(2.0 * self.turning_radius * (tangents - jnp.arctan(tangents)))
 
 
-def _half_tangents(route: Float[Array, "W 2"]) -> tuple[Float[Array, "W-2"], Float[Array, "W-1"]]:
+def _smooth_half_tangents(route: Float[Array, "W 2"]) -> tuple[Float[Array, "W-2"], Float[Array, "W-1"]]:
     """Tangents of half of the turns, nearly as in `bojax.surveys.turns`, and lengths of legs.
 
     The tangents are bounded, and have gradients in straight lines.
     """
     legs = jnp.diff(route, axis=0)
-    lengths = jnp.sqrt(jnp.sum(legs**2, axis=-1) + jnp.finfo(route.dtype).tiny)
+    # Where legs have no length, the square of 1 / length occurs in gradients, and must not overflow.
+    lengths = jnp.sqrt(jnp.sum(legs**2, axis=-1) + 1e-12)
     cosine = jnp.sum(legs[1:] * legs[:-1], axis=-1) / (lengths[1:] * lengths[:-1])
     return jnp.sqrt(jnp.maximum(1.0 - cosine, 0.0) / (1.01 + cosine) + 1e-6) - 1e-3, lengths
 
 
-def _lacking(route: Float[Array, "W 2"], radius: Float[Array, ""]) -> Float[Array, "W-1"]:
+def _smooth_lacking(route: Float[Array, "W 2"], radius: Float[Array, ""]) -> Float[Array, "W-1"]:
     """The length that each leg lacks for the arcs at its ends, m."""
-    tangents, lengths = _half_tangents(route)
+    tangents, lengths = _smooth_half_tangents(route)
     tangents = jnp.pad(tangents, 1)
     return jnp.maximum(radius * (tangents[1:] + tangents[:-1]) - lengths, 0.0)
-
-
-def saved_by_arcs(route: Float[Array, "W 2"], radius: Float[Array, ""]) -> Float[Array, ""]:
-    """Most of the length by which arcs at the corners of a route are shorter than its legs, m."""
-    tangents, _ = _half_tangents(route)
-    return SAVED * jnp.sum(2.0 * radius * (tangents - jnp.arctan(tangents)))
 
 
 @eqx.filter_jit
@@ -219,10 +225,11 @@ def descend(
     def drawn_in(points: Float[Array, "K W 2"]) -> Float[Array, "K W 2"]:
         together = zip(points, ends, budgets, strict=True)
         routes = [within_budget(each, fixed, own) for each, fixed, own in together]
-        # Arcs at the corners leave some of the budget.
-        left = [saved_by_arcs(route, limits.turning_radius) for route in routes]
-        together = zip(points, ends, budgets, left, strict=True)
-        return jnp.stack([within_budget(each, fixed, own + more) for each, fixed, own, more in together])
+        if limits.turning_radius is not None:  # arcs at the corners leave some of the budget
+            left = [own + limits.saved_by_arcs(route) for own, route in zip(budgets, routes, strict=True)]
+            together = zip(points, ends, left, strict=True)
+            routes = [within_budget(each, fixed, own) for each, fixed, own in together]
+        return jnp.stack(routes)
 
     def loss(points: Float[Array, "K W 2"], step: Int[Array, ""]) -> Scalar:
         routes = drawn_in(points)
@@ -231,7 +238,7 @@ def descend(
         # Waypoints beyond the budget are drawn in; the second penalty keeps them from running away.
         lengths = jnp.stack(
             [
-                path_length(fixed.fixed(each)) - saved_by_arcs(route, limits.turning_radius)
+                path_length(fixed.fixed(each)) - limits.saved_by_arcs(route)
                 for each, route, fixed in zip(points, routes, ends, strict=True)
             ]
         )

@@ -102,11 +102,12 @@ def _settings(
         rows["distance between lines"] = f"{survey.lines:.4g} m"
     if demand.turning_radius:
         least = min(map(least_radius, chosen.routes))
-        rows["turning radius"] = f"{demand.turning_radius:g} m; the tightest turn has {least:.4g} m"
+        tightest = f"the tightest turn has {least:.4g} m" if least < chosen.length else "there is no turn"
+        rows["turning radius"] = f"{demand.turning_radius:g} m; {tightest}"
         if survey.lines is not None:
             missed = 100.0 * survey.missed
             rows["left out for the turns"] = (
-                f"{missed:.2g}% of the area is farther from the route than a line"
+                f"{missed:.2g}% of the area is farther from the route than the distance between two lines"
             )
     if speed is not None:
         rows["duration"] = f"{chosen.length / speed / 60:.1f} min at {speed:g} m/s"

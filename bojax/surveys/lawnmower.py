@@ -5,6 +5,7 @@ merge. Between two such events a piece sweeps a cell, which is driven to and fro
 after the other, by shortest paths around holes.
 """
 
+import contextlib
 import itertools
 import math
 from collections.abc import Sequence
@@ -96,7 +97,7 @@ def lawnmower(
 
     Raises:
         ValueError: The spacing is not positive, or for too many lines, or an end is not in the area.
-        TooTight: The turning radius of the ground does not allow such a route.
+        TurnsTooTight: The turning radius of the ground does not allow such a route.
     """
     if not spacing > 0 or not math.isfinite(spacing):
         raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
@@ -136,7 +137,7 @@ def lawnmowers_within(
 
     Raises:
         ValueError: The budget does not reach from the start to the end.
-        TooTight: The turning radius of the ground does not allow any.
+        TurnsTooTight: The turning radius of the ground does not allow any.
     """
     check_budget(ground, budget, start, end)
     # Lines of this distance are as long as the budget, but for the way between them.
@@ -150,7 +151,7 @@ def lawnmowers_within(
             continue
         try:
             route = lawnmower(ground, distance, angle, start, end, inset=True)
-        except TooTight:
+        except TurnsTooTight:
             continue
         if length_of(route) <= budget:
             whole = route
@@ -158,12 +159,10 @@ def lawnmowers_within(
         denser = route
     routes = [] if whole is None else [whole]
     if denser is not None:
-        try:
+        with contextlib.suppress(TurnsTooTight):  # at the beginning of the way to the end
             routes.append(_turned(cut(denser, budget, end, ground.transfers), ground))
-        except TooTight:  # at the beginning of the way to the end
-            pass
     if not routes:
-        raise TooTight(ground.turning_radius)
+        raise TurnsTooTight(ground.turning_radius)
     return routes
 
 
@@ -189,8 +188,8 @@ def too_small(budget: float, shortest: float) -> ValueError:
     return ValueError(f"budget: got {budget:.6g} m, but {between}")
 
 
-class TooTight(ValueError):
-    """No route of a kind turns as widely as it must."""
+class TurnsTooTight(ValueError):
+    """No lawnmower can be driven with the turning radius."""
 
     def __init__(self, radius: float):
         """Name the radius, m, and what would help."""
@@ -204,11 +203,11 @@ def _turned(route: np.ndarray, ground: Ground) -> np.ndarray:
     """The route with turns of the radius of the ground.
 
     Raises:
-        TooTight: It leaves too little room for them.
+        TurnsTooTight: It leaves too little room for them.
     """
     turned = drivable(route, ground.turning_radius)
     if turned is None or not (turned is route or ground.transfers.are_clear(turned[:-1], turned[1:]).all()):
-        raise TooTight(ground.turning_radius)
+        raise TurnsTooTight(ground.turning_radius)
     return turned
 
 
@@ -264,7 +263,7 @@ def _pieces(edges: tuple[np.ndarray, np.ndarray], y: float) -> list[np.ndarray]:
 def _ways(cell: list[np.ndarray], spacing: float, turning_radius: float) -> list[np.ndarray]:
     """The four ways to drive a cell to and fro: from the first or the last line, from either side."""
     ways = []
-    order = _apart(len(cell), math.ceil(2.0 * turning_radius / spacing - 1e-9))
+    order = _order_apart(len(cell), math.ceil(2.0 * turning_radius / spacing - 1e-9))
     for lines in (cell, cell[::-1]):
         for side in (0, 1):
             driven = [lines[index][:: 1 if (i + side) % 2 == 0 else -1] for i, index in enumerate(order)]
@@ -272,10 +271,10 @@ def _ways(cell: list[np.ndarray], spacing: float, turning_radius: float) -> list
     return ways
 
 
-def _apart(number: int, least: int) -> list[int]:
-    """An order of lines in which the next one is at least `least` lines away, if there are enough for one.
+def _order_apart(number: int, least: int) -> list[int]:
+    """An order of lines in which consecutive ones are at least `least` apart, if there are enough lines.
 
-    In a block of 2 k + 1 lines, the next one is in turn k + 1 lines ahead and k lines back.
+    Blocks of 2 k + 1 lines alternate between k + 1 ahead and k back.
     """
     if least <= 1:
         return list(range(number))

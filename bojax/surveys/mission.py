@@ -27,6 +27,7 @@ from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
 from bojax.surveys.search import Search, part_around
 from bojax.surveys.team import MOST_ROBOTS
+from bojax.surveys.turns import drivable
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
@@ -99,7 +100,8 @@ class Mission:
         separation: Least distance of two robots, m.
         counts: How often input was left out, by reason: `not_finite` or masked, `too_large` (beyond 1e30 in
             magnitude) and `no_data` (such as -9999), values that stand for missing data, `far_off` (a
-            position), `duplicate`, `bad_pose`; and `time_backwards`, for measurements that are kept.
+            position), `duplicate`, `bad_pose`; `time_backwards`, for measurements that are kept; and
+            `tight_turns`, plans that go on with the earlier one since no other has turns of the radius.
         hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
         goal: What the survey is for.
     """
@@ -294,20 +296,28 @@ class Mission:
     def _descended(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
         """Routes of least expected error at the places that count, beside those of returning robots."""
         key = jax.random.fold_in(jax.random.key(self.seed), self._plans)
-        return plan_routes(
-            self.posterior(),
-            self.area,
-            [leg.left for leg in legs],
-            [leg.entry for leg in legs],
-            [leg.robot.end for leg in legs],
-            self._guesses(legs),
-            key,
-            spacing=self.spacing,
-            target=self.goal.region,
-            separation=self.separation,
-            others=returning,
-            options=self._options,
-        ).each
+        try:
+            return plan_routes(
+                self.posterior(),
+                self.area,
+                [leg.left for leg in legs],
+                [leg.entry for leg in legs],
+                [leg.robot.end for leg in legs],
+                self._guesses(legs),
+                key,
+                spacing=self.spacing,
+                target=self.goal.region,
+                separation=self.separation,
+                others=returning,
+                options=self._options,
+            ).each
+        except ValueError:
+            # From where a robot is now, it may not turn widely enough: it goes on with its plan.
+            rests = [rest_of(route.waypoints, leg.entry) for leg in legs if (route := leg.robot.route)]
+            if not self.options.turning_radius or len(rests) < len(legs):
+                raise
+            self.counts["tight_turns"] += 1
+            return [Route(rest, length_of(rest), np.nan, "earlier plan", {}) for rest in rests]
 
     def _searched(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
         """Routes of least loss of a goal that depends on values; of a map without any.
@@ -566,10 +576,11 @@ class Mission:
         return points[np.argmin(np.linalg.norm(points - position, axis=1))]
 
     def _earlier(self, leg: _Leg) -> Waypoints | None:
-        """The rest of the earlier plan, if it stays in the area."""
+        """The rest of the earlier plan, with turns of the radius if there is one, if it stays in the area."""
         route = leg.robot.route
         rest = None if route is None else rest_of(route.waypoints, leg.entry)
-        return rest if rest is not None and stays_inside(rest, self.area) else None
+        turned = None if rest is None else drivable(rest, self.options.turning_radius)
+        return turned if turned is not None and stays_inside(turned, self.area) else None
 
     def _guesses(self, legs: list[_Leg]) -> dict[str, Sequence[Waypoints]]:
         """The rest of the earlier plans or, if one is missing or leaves the area, the best lawnmowers."""

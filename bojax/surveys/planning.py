@@ -14,7 +14,7 @@ from bojax.areas.shapes import shapely_module, to_shape
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
-from bojax.surveys.lawnmower import DIRECTIONS, Ground, TooTight, check_budget
+from bojax.surveys.lawnmower import DIRECTIONS, Ground, TurnsTooTight, check_budget
 from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import NUM_GRID, RouteOptions, counted_points, plan_routes
@@ -343,7 +343,7 @@ def _lawnmowers(
             found = team_lawnmowers(
                 ground, demand.robots, angle, demand.starts, demand.ends, demand.budget, spacing
             )
-        except TooTight as error:
+        except TurnsTooTight as error:
             too_tight = error
             continue
         routes += [(detail if i == 0 else f"{detail}, cut", together) for i, together in enumerate(found)]

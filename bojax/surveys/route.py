@@ -203,8 +203,10 @@ def plan_routes(
         for pair in zip(starts, ends, strict=True)
     ]
     distance = jax.tree.map(lambda leaf: leaf.astype(dtype), DistanceGrid.of(area, size / 200))
-    limits = (size / 200, MARGIN * options.turning_radius, separation)
-    limits = Limits(distance, *(jnp.asarray(x, dtype) for x in limits))
+    clearance, radius, apart = (
+        jnp.asarray(x, dtype) for x in (size / 200, MARGIN * options.turning_radius, separation)
+    )
+    limits = Limits(distance, clearance, radius if options.turning_radius else None, apart)
     # The waypoints of turns along arcs would leave few for the lines between them.
     evenly = options.turning_radius > 0.0
     first = np.stack(

@@ -22,6 +22,8 @@ MOST_REMOVED = 1 / 3  # of the waypoints of a route
 
 def least_radius(route: Waypoints) -> float:
     """The radius of the tightest turn of a route, m: the largest with which it can be driven."""
+    if len(route) < 3:
+        return math.inf
     half, lengths = _half_tangents(route), _lengths(route)
     needed = half[:-1] + half[1:]
     return float(np.min(lengths[needed > 0.0] / needed[needed > 0.0], initial=math.inf))
@@ -32,7 +34,12 @@ def drivable(route: Waypoints, radius: float) -> Waypoints | None:
 
     Waypoints that leave too little room for turns are removed. Turns are then written as polygons around
     their arcs, so that the arc of this radius touches each leg of the result.
+
+    Raises:
+        ValueError: The radius is negative or not a number.
     """
+    if not radius >= 0.0:
+        raise ValueError(f"turning radius: got {radius:g}; allowed: >= 0 m")
     if radius == 0.0:
         return route
     route = route[np.append(True, _lengths(route) > 0.0)]
@@ -77,8 +84,10 @@ def _half_tangents(route: Waypoints) -> np.ndarray:
     before, after = np.diff(route, axis=0)[:-1], np.diff(route, axis=0)[1:]
     across = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
     lengths = _lengths(route)
-    along = np.sum(before * after, axis=1) + lengths[:-1] * lengths[1:]
-    half = np.where(along > across / LARGEST, across / np.where(along > 0.0, along, 1.0), LARGEST)
+    # From the cosine, rounding would make a turn on the spot a straight line.
+    angle = np.arctan2(across, np.sum(before * after, axis=1))
+    is_leg = lengths[:-1] * lengths[1:] > 0.0
+    half = np.where(is_leg, np.minimum(np.tan(angle / 2.0), LARGEST), LARGEST)
     return np.concatenate([[0.0], half, [0.0]])
 
 

@@ -167,6 +167,8 @@ def test_the_errors_of_a_region_of_polygons_are_those_of_its_points_in_the_frame
                 area={"kind": "outline", "file": files["area"]}, region=str(elsewhere), errors_by_step=True
             )
         )
+    with pytest.raises(ValueError, match="is in degrees or a map projection, and the problem has no place"):
+        Monitoring(region=files["part"], errors_by_step=True)
     with pytest.raises(ValueError, match=r"no.kml: No such file"):
         Monitoring(area={"kind": "outline", "file": files["area"]}, region="no.kml", errors_by_step=True)
     metres = tmp_path / "metres.geojson"

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from bojax.areas.area import Area  # noqa: E402
 from bojax.areas.shapes import to_shape  # noqa: E402
 from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
 from bojax.models.kernels import Matern52, Scaled  # noqa: E402
-from bojax.surveys.lawnmower import DIRECTIONS, Ground, TooTight, _apart, lawnmower, lawnmowers_within  # noqa: E402
+from bojax.surveys.descent import Limits  # noqa: E402
+from bojax.surveys.lawnmower import DIRECTIONS, Ground, TurnsTooTight, lawnmower, lawnmowers_within  # noqa: E402
+from bojax.surveys.lawnmower import _order_apart as order_apart  # noqa: E402
 from bojax.surveys.mission import Mission  # noqa: E402
 from bojax.surveys.polylines import length_of, points_along  # noqa: E402
 from bojax.surveys.route import RouteOptions, plan_route  # noqa: E402
@@ -30,6 +33,8 @@ def can_be_driven(route: np.ndarray, radius: float) -> bool:
         side = np.sign((b - a)[0] * (c - b)[1] - (b - a)[1] * (c - b)[0])
         # The centre is as far to the same side of both legs: an intersection of two lines.
         normals = [side * np.array([-v[1], v[0]]) / np.hypot(*v) for v in (b - a, c - b)]
+        if np.dot(b - a, c - b) < 0.0 and abs(np.linalg.det(normals)) < 1e-9:
+            return False  # a turn on the spot
         if side == 0.0 or np.linalg.det(normals) == 0.0:
             continue
         centre = b + np.linalg.solve(normals, [radius, radius])
@@ -69,10 +74,32 @@ def test_a_turn_on_the_spot_and_repeated_points_are_repaired():
     assert drivable(there_and_back, 0.0) is there_and_back
 
 
+def test_turns_on_the_spot_in_any_direction_have_no_radius():
+    angles = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, 200)
+    for angle, length in zip(angles, np.linspace(0.1, 100.0, 200), strict=True):
+        leg = length * np.array([np.cos(angle), np.sin(angle)])
+        assert least_radius(np.stack([-leg, leg, 0.3 * leg])) < 1e-3 * length
+        assert least_radius(np.stack([-leg, leg])) == np.inf
+    with pytest.raises(ValueError, match="turning radius: got -1"):
+        drivable(np.zeros((3, 2)), -1.0)
+
+
+def test_routes_on_a_grid_with_turns_on_the_spot_become_drivable():
+    rng, found = np.random.default_rng(0), 0
+    for _ in range(300):
+        given = np.round(rng.uniform(0.0, 100.0, (8, 2)), -1)
+        route = drivable(given, 2.0)
+        if route is not None:
+            found += 1
+            assert least_radius(route) >= 2.0 * (1.0 - 1e-6)
+            assert length_of(route) <= length_of(given) * (1.0 + 1e-9)
+    assert found > 100
+
+
 @pytest.mark.parametrize("least", [1, 2, 3, 7])
 def test_lines_in_a_row_are_apart(least):
     for number in range(1, 60):
-        order = _apart(number, least)
+        order = order_apart(number, least)
         assert sorted(order) == list(range(number))
         if number > 2 * least:
             assert np.abs(np.diff(order)).min(initial=least) >= least
@@ -87,7 +114,7 @@ def test_lawnmowers_turn_as_widely_as_they_must(name):
     )
     ground, found = Ground.of(area, turning_radius=0.3), []
     for angle in np.arange(DIRECTIONS) * np.pi / DIRECTIONS:
-        with contextlib.suppress(TooTight):
+        with contextlib.suppress(TurnsTooTight):
             route = lawnmower(ground, 1.0, angle)
             assert np.mean(apart(area, route) < 1.0) > 0.95
             found.append(route)
@@ -110,7 +137,9 @@ def test_lines_closer_than_a_turn_are_driven_in_another_order():
 
 def test_an_area_without_room_for_the_turns_is_one_line():
     ground = Ground.of(Area.rectangle(0.0, 0.0, 10.0, 4.0), turning_radius=2.5)
-    with pytest.raises(TooTight, match=r"^turning radius: got 2.5 m, .*; allowed: a smaller one, or lines"):
+    with pytest.raises(
+        TurnsTooTight, match=r"^turning radius: got 2.5 m, .*; allowed: a smaller one, or lines"
+    ):
         lawnmower(ground, 1.0)
 
 
@@ -141,3 +170,30 @@ def test_the_plans_of_a_mission_turn_as_widely_as_they_must():
         assert can_be_driven(way, 0.5) and is_inside(SQUARE, way)
         points = points_along(way, np.arange(0.5, distance, 0.5))
         mission.observe(points, np.sin(points[:, 0]))
+
+
+def test_a_mission_that_drifts_off_its_plans_goes_on():
+    """Near the end of its budget, there may be no route with such turns but what is left of its plan."""
+    options = RouteOptions(waypoints=32, restarts=2, steps=5, models=1, turning_radius=2.0)
+    mission = Mission(SQUARE, 40.0, [1.0, 1.0], spacing=1.0, options=options)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        way = mission.plan()
+        if not len(way):
+            break
+        route = np.concatenate([mission.position[None], way])
+        points = points_along(route, np.arange(1.0, 4.5, 1.0)) + rng.normal(0.0, 0.15, (4, 2))
+        mission.observe(np.clip(points, 0.1, 9.9), np.sin(points[:, 0]))
+    assert mission.remaining < 0.2 * 40.0
+    assert mission.counts["tight_turns"] < 10
+
+
+def test_a_first_guess_with_a_repeated_waypoint_is_optimised():
+    guess = np.array([[1.0, 1.0], [5.0, 9.0], [5.0, 9.0], [5.0, 9.0], [9.0, 1.0]])
+    for radius in (None, 0.3):
+        limits = Limits(
+            None, jnp.asarray(0.1), None if radius is None else jnp.asarray(radius), jnp.asarray(0.0)
+        )
+        gradient = jax.grad(lambda route, limits=limits: limits._penalty_of_one(route, jnp.asarray(1.0), 20)
+                            + limits.saved_by_arcs(route))(jnp.asarray(guess))  # fmt: skip
+        assert jnp.isfinite(gradient).all()

@@ -107,7 +107,7 @@ class PomdpLander(ReadingProblem):
     ) -> tuple[Particles, Bool[Array, ""]]:
         """The bootstrap filter, or an extended Kalman filter whose belief is drawn anew at each step.
 
-        Drawn particles may be terminal. The belief has collapsed if all of them are.
+        Drawn particles may be terminal. The belief has collapsed if all of them are, or if one is not finite.
         """
         if self.belief_update == "bootstrap":
             return super().filter(key, belief, action, observation)
@@ -134,7 +134,8 @@ class PomdpLander(ReadingProblem):
         floor = _LEAST_VARIANCE * jnp.eye(mean.shape[0], dtype=mean.dtype)
         states = after.mean[None] + draws @ jnp.linalg.cholesky(after.covariance + floor).T
         terminal = jax.vmap(self.is_terminal)(states)
-        return Particles(states, belief.log_weights, terminal), jnp.all(terminal)
+        has_collapsed = jnp.all(terminal) | ~jnp.all(jnp.isfinite(states))
+        return Particles(states, belief.log_weights, terminal), has_collapsed
 
     @override
     def is_terminal(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
