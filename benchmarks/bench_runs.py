@@ -18,7 +18,7 @@ from typing import Any
 
 from options import make_parser, positive
 
-from bojax.engine.chunks import LANES_ON_ACCELERATOR
+from bojax.numerics.lanes import LANES_ON_GPU
 
 EXPERIMENTS = {
     "parking": ["parking"],
@@ -91,7 +91,7 @@ def measured(name: str, args: argparse.Namespace, place: Path) -> list[dict[str,
     for number in args.runs:
         if rows and number / rows[-1]["runs"] * rows[-1]["advancing"] > args.seconds:
             break
-        queues = math.ceil(number / LANES_ON_ACCELERATOR)
+        queues = math.ceil(number / LANES_ON_GPU)
         one_queue = math.ceil(number / queues)  # the programs of all
         timed(EXPERIMENTS[name], one_queue, args, place / f"{name}-{number}-first")
         row = {"experiment": name} | timed(EXPERIMENTS[name], number, args, place / f"{name}-{number}")

@@ -11,18 +11,13 @@ import numpy as np
 
 from bojax.engine.groups import StaticGroup
 from bojax.experiments.base import Experiment
+from bojax.numerics.lanes import LANES_ON_GPU
 
-LANES_ON_ACCELERATOR = 4096
-"""Default maximum of lanes on an accelerator; on a CPU it is `Experiment.lanes_on_cpu`.
-
-A learner may ask for fewer, as of `Experiment.lanes_on_gpu`.
-"""
-
-QUEUE_ON_CPU, QUEUE_ON_ACCELERATOR = 64, 4 * LANES_ON_ACCELERATOR
+QUEUE_ON_CPU, QUEUE_ON_ACCELERATOR = 64, 4 * LANES_ON_GPU
 """Maximum of runs in a queue.
 
 In a queue longer than its lanes, the next runs take the lanes of those that have finished. On an accelerator
-that pays only beyond `LANES_ON_ACCELERATOR`: an advance has a fixed cost, so that runs which fit at once are
+that pays only beyond `LANES_ON_GPU`: an advance has a fixed cost, so that runs which fit at once are
 done soonest if all start at once (benchmarks/results/2026-11-23-lanes.md).
 """
 
@@ -83,10 +78,9 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
         given: Number of lanes chosen by the user; None for the default.
     """
     is_cpu = platform == "cpu"
-    on_gpu = min(LANES_ON_ACCELERATOR, experiment.lanes_on_gpu)
-    limit = given or (experiment.lanes_on_cpu if is_cpu else on_gpu)
+    limit = given or (experiment.lanes_on_cpu if is_cpu else experiment.lanes_on_gpu)
     longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else QUEUE_ON_ACCELERATOR
-    useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / on_gpu)
+    useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / experiment.lanes_on_gpu)
     common = QUEUES_ON_CPU if is_cpu else QUEUES_ON_ACCELERATOR
     num_queues = max(math.ceil(num_runs / longest), min(common, useful))
     queue = math.ceil(num_runs / num_queues)

@@ -7,6 +7,7 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array, Bool, Int, Key, PyTree, Scalar
 
+from bojax.numerics.lanes import LANES_ON_GPU
 from bojax.results.schema import Table
 
 Carry = Any
@@ -58,7 +59,7 @@ class Experiment(eqx.Module):
     @property
     def lanes_on_gpu(self) -> int:
         """Default number of lanes of a GPU, whose memory limits it."""
-        return 4096
+        return LANES_ON_GPU
 
     @property
     def runs_on_cpu(self) -> int:

@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Space
+from bojax.numerics.lanes import LANES_ON_GPU
 from bojax.results.schema import Table
 
 LearnerState: TypeAlias = Any
@@ -77,7 +78,7 @@ class Learner(eqx.Module):
     @property
     def lanes_on_gpu(self) -> int:
         """Default number of lanes of a GPU, whose memory limits it."""
-        return 4096
+        return LANES_ON_GPU
 
     @property
     @abc.abstractmethod

@@ -18,6 +18,9 @@ Its size is 1 while the engine traces an experiment: use `lax.pmax`, `pmin` or `
 `axis_size`.
 """
 
+LANES_ON_GPU = 4096
+"""Default number of lanes of a GPU, unless its memory allows fewer."""
+
 EPISODES = "episodes"  # name of the axis over which a run batches episodes that do not depend on each other
 TREES = "trees"  # name of the axis over which a plan batches independent searches
 
