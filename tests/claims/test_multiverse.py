@@ -21,19 +21,27 @@ from tests.report.synthetic import edit_manifest, write_results
 SWEEP = """
 title: A short chain
 base: {experiment: learning, env: {kind: chain, length: 4}, learner: exploration-values, episodes: 3}
-axes: {learner: {usual: {kind: exploration-values}, greedy: {kind: epsilon-greedy}}}
+axes:
+  learner:
+    usual: {kind: exploration-values}
+    greedy: {kind: epsilon-greedy}
+    odd: {kind: epsilon-greedy, epsilon: 0.9}
 runs: 20
 claims:
   - id: own/finds
     source: Table 1
     claim: the goal is found
     test: {kind: share, by: variant, label: usual, column: success, above: 0.5}
+  - id: own/above
+    source: Table 1
+    claim: the goal is found more often
+    test: {kind: order, by: variant, greater: [usual, greedy], column: success}
   - id: own/steps
     source: Table 2
     claim: the goal is found always
     thesis: 1.0
     class: variant
-    test: {kind: agrees, by: variant, label: usual, column: success, share: 1.0, runs: 20}
+    test: {kind: agrees, by: variant, label: odd, column: success, share: 1.0, runs: 20}
 """
 
 FILE = """
@@ -150,6 +158,21 @@ def test_settings_replace_those_of_the_axes_where_they_are_meant(paper):
     )
     assert greedy.config.learner.learning_rate == sweep.points[1].config.learner.learning_rate
     assert (sweep.runs, sweep.seed, sweep.record.runs, sweep.published) == (20, 5, 0, None)
+
+
+def test_variants_and_points_that_no_claim_compares_are_left_out(paper):
+    sweep = declared(str(paper)).sweep("own.yaml", range(4), None, None)
+    assert [claim.id for claim in sweep.claims] == ["own/finds", "own/above"]
+    assert {point.variant for point in sweep.points} == {"usual", "greedy"}
+    assert [point.index for point in sweep.points] == list(range(len(sweep.points)))
+    own = paper.parent / "own.yaml"
+    own.write_text(
+        own.read_text()
+        .replace("    test:", "    class: check\n    test:")
+        .replace("class: variant\n    ", "")
+    )
+    with pytest.raises(ConfigError, match=r"own.yaml: claims: none is of class claim"):
+        declared(str(paper))
 
 
 def test_configurations_share_the_points_that_no_choice_changes(paper):

@@ -177,7 +177,11 @@ class Declaration:
         ]
 
     def sweep(self, source: str, numbers: Sequence[int], runs: int | None, seed: int | None) -> Sweep:
-        """One of the sweeps, with its points once for each of these configurations, without recorded runs."""
+        """One of the sweeps, with its points once for each of these configurations, without recorded runs.
+
+        It has the claims alone, and the points that they compare: a variant is a claim under other settings,
+        which is what the choices are for.
+        """
         varied = vary(
             self.source_of(source),
             AXIS,
@@ -185,6 +189,7 @@ class Declaration:
             self.file.runs if runs is None else runs,
             self.file.seed if seed is None else seed,
         )
+        varied = _with_claims_alone(varied)
         return replace(varied, record=varied.record.model_copy(update={"runs": 0}), report={})
 
     def with_changes(self, changes: Mapping[str, Any]) -> "Declaration":
@@ -207,6 +212,21 @@ class Declaration:
         if not sweep.endswith(SUFFIXES):
             return sweep
         return str(find(sweep, "sweeps", beside=[self.path.parent]))
+
+
+def _with_claims_alone(sweep: Sweep) -> Sweep:
+    """A sweep without its variants and checks, and without the points that no claim compares."""
+    claims = tuple(claim for claim in sweep.claims if claim.entry_class == "claim")
+    compared = {(claim.test.by, name) for claim in claims for name in claim.test.names}
+    kept = [each for each in sweep.points if {("label", each.label), ("variant", each.variant)} & compared]
+    if not kept:
+        raise ConfigError(f"{display(sweep.source)}: claims: none is of class claim; allowed: at least one")
+    return replace(
+        sweep,
+        claims=claims,
+        points=tuple(replace(point, index=index) for index, point in enumerate(kept)),
+        locate=lambda index, location: sweep.locate(kept[index].index, location),
+    )
 
 
 def declared(source: str) -> Declaration:
@@ -268,9 +288,8 @@ def _check_choices(declaration: Declaration, where: str) -> None:
                 number += 1
                 tried[number] = name, level
                 variations[number] = choice.settings(level, source, f"{where}: choices.{name}")
-        points = [
-            (point.swept[AXIS].split(), point.variant) for point in vary(sweep, AXIS, variations).points
-        ]
+        varied = _with_claims_alone(vary(sweep, AXIS, variations))
+        points = [(point.swept[AXIS].split(), point.variant) for point in varied.points]
         for number, (name, level) in tried.items():
             changed = [
                 variant for numbers, variant in points if str(number) in numbers and "0" not in numbers
