@@ -10,6 +10,7 @@ from typing_extensions import override
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete, Space
+from bojax.numerics.linalg import matmul
 from bojax.problems import actions
 from bojax.problems.particles import Particles
 from bojax.problems.state_checks import check_model
@@ -119,7 +120,7 @@ class BeliefEnv(Env):
         if self.features == "mean":
             return mean
         squares = (state.belief.states - mean[None]) ** 2
-        return jnp.concatenate([mean, jnp.sqrt(jnp.exp(state.belief.log_weights) @ squares)])
+        return jnp.concatenate([mean, jnp.sqrt(matmul(jnp.exp(state.belief.log_weights), squares))])
 
     @override
     def counts(self, state: Tracked) -> dict[str, Int[Array, ""]]:

@@ -14,6 +14,9 @@ from bojax.numerics.loops import is_unrolled, short_loop
 HIGHEST = Precision.HIGHEST
 """Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
 
+full_precision = jax.default_matmul_precision("highest")
+"""Decorator of a function all of whose products, such as `a @ b`, are at full precision."""
+
 BLOCK = 8  # number of columns that a step of `guarded_cholesky` eliminates on an accelerator
 
 

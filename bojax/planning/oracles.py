@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from bojax.numerics.linalg import matmul
 from bojax.problems.particles import Particles
 from bojax.problems.pomdp.light_dark import LightDark
 from bojax.problems.pomdp.pomdp_lander import PomdpLander
@@ -50,7 +51,7 @@ def _towards_next(problem: VdpTag, state: Float[Array, "4"], look: Float[Array, 
 
 def qmdp(problem: LightDark | SubHunt, key: Key[Array, ""], belief: Particles) -> Float[Array, "1"]:
     """Take the action with the best mean value, as if the state were observed from the next step on."""
-    values = jnp.exp(belief.log_weights) @ jax.vmap(problem.values_at)(belief.states)
+    values = matmul(jnp.exp(belief.log_weights), jax.vmap(problem.values_at)(belief.states))
     return problem.actions.values[jnp.argmax(values)]
 
 

@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.numerics.lanes import any_lane
+from bojax.numerics.linalg import matmul
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Expansion
 from bojax.planning.belief_tree import BeliefTree, row
@@ -136,9 +137,9 @@ def entropy(log_weights: Float[Array, "M"], states: Float[Array, "M D"]) -> Floa
     """
     weights = _weights(log_weights)
     share = weights / jnp.maximum(jnp.sum(weights), 1.0)
-    offsets = states - (share @ states)[None]
+    offsets = states - matmul(share, states)[None]
     floor = ENTROPY_FLOOR * jnp.eye(states.shape[1], dtype=states.dtype)
-    return 0.5 * jnp.linalg.slogdet((offsets * share[:, None]).T @ offsets + floor)[1]
+    return 0.5 * jnp.linalg.slogdet(matmul((offsets * share[:, None]).T, offsets) + floor)[1]
 
 
 def _weights(log_weights: Float[Array, "M"]) -> Float[Array, "M"]:

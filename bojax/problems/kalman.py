@@ -4,6 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bojax.numerics.linalg import full_precision
+
 
 class LinearGaussian(eqx.Module):
     """A linear model: x' = A x + B a + noise, o = C x' + noise.
@@ -35,6 +37,7 @@ class Gaussian(eqx.Module):
         return 0.5 * jnp.linalg.slogdet(self.covariance)[1]
 
 
+@full_precision
 def update(
     model: LinearGaussian, belief: Gaussian, action: Float[Array, "K"], observation: Float[Array, "O"]
 ) -> Gaussian:
@@ -45,6 +48,7 @@ def update(
     return condition(Gaussian(mean, covariance), model.sensor, model.sensor_covariance, innovation)
 
 
+@full_precision
 def condition(
     predicted: Gaussian,
     sensor: Float[Array, "O D"],

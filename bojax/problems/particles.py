@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from bojax.numerics.linalg import matmul
 from bojax.problems.state_model import StateModel
 
 
@@ -29,13 +30,13 @@ class Particles(eqx.Module):
     @property
     def mean(self) -> Float[Array, "D"]:
         """Weighted mean."""
-        return jnp.exp(self.log_weights) @ self.states
+        return matmul(jnp.exp(self.log_weights), self.states)
 
     @property
     def covariance(self) -> Float[Array, "D D"]:
         """Weighted covariance; with equal weights, the sum is divided by M, not by M - 1."""
         offsets = self.states - self.mean[None]
-        return (offsets * jnp.exp(self.log_weights)[:, None]).T @ offsets
+        return matmul((offsets * jnp.exp(self.log_weights)[:, None]).T, offsets)
 
     @property
     def entropy(self) -> Float[Array, ""]:

@@ -13,6 +13,7 @@ from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.problems import kalman
 from bojax.problems.pomdp import sub_hunt_values
+from tests.protocol.lanes import rounded_products
 from tests.reference import state_problems as reference
 
 SMALLEST_P = 1e-4
@@ -317,3 +318,25 @@ def test_kalman_and_riccati_reach_the_exact_cost_of_lqg():
     total, ended = (np.asarray(v) for v in costs(jax.random.split(jax.random.key(9), 20_000)))
     assert np.all(ended)
     assert abs(total.mean() - exact) < 3.0 * total.std() / len(total) ** 0.5
+
+
+STATE_PROBLEMS = [
+    kind for kind, each in kinds("problem").items() if each.__module__.endswith("pomdp.settings")
+]
+
+
+@pytest.mark.parametrize("kind", [*STATE_PROBLEMS, "pomdp-lander, gaussian"])
+def test_no_product_is_rounded_on_a_gpu(kind):
+    name, _, belief_update = kind.partition(", ")
+    each = problem(name, "float32", **({"belief_update": belief_update} if belief_update else {}))
+
+    def one_step(key):
+        keys = jax.random.split(key, 5)
+        world = each.reset(keys[0])
+        belief = each.prior(keys[1], world, 8)
+        action = each.actions.decode(each.actions.sample(keys[2]))
+        world, observation, events = each.execute(keys[3], world, action)
+        belief = each.update(belief, action, observation, keys[4])
+        return world, events, belief, belief.mean, belief.covariance, belief.entropy
+
+    assert not rounded_products(jax.make_jaxpr(one_step)(jax.random.key(0)).jaxpr)

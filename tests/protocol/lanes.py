@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from bojax.config.catalog import kinds
@@ -101,19 +102,32 @@ def check_traced(part: Any, run: Callable[[Any, jax.Array, Any], Any], inputs: A
     """Trace what `check` runs.
 
     There is a result for every lane, in the precision of the part; it depends on hyper-parameters if the part
-    has some; and the second call traces nothing.
+    has some; every product is at full precision on a GPU; and the second call traces nothing.
     """
     for closed, shapes, _ in _twice(part, run, inputs, eqx.filter_make_jaxpr):
         results = jax.tree.leaves(shapes)
         assert results and all(leaf.shape[:1] == (LANES,) for leaf in results)
         numbers = {leaf.dtype for leaf in results if jnp.issubdtype(leaf.dtype, jnp.inexact)}
         assert numbers <= {leaf.dtype for leaf in hyperparameters((part, inputs))}
+        assert not rounded_products(closed.jaxpr)
         _, is_used = dce_jaxpr(closed.jaxpr, [True] * len(results))
         if hyperparameters(part):
             arrays = filter(eqx.is_array, jax.tree.leaves(part))  # the first arguments
             assert any(
                 used and eqx.is_inexact_array(leaf) for leaf, used in zip(arrays, is_used, strict=False)
             )
+
+
+def rounded_products(jaxpr: Any) -> list[Any]:
+    """The products of a program that a GPU rounds to TF32 if they are of 32-bit numbers."""
+    found = []
+    for eqn in jaxpr.eqns:
+        is_product = eqn.primitive.name == "dot_general" and eqn.params["precision"] is None
+        if is_product and jnp.issubdtype(eqn.outvars[0].aval.dtype, jnp.inexact):
+            found.append(eqn)
+        for inner in jaxprs_in_params(eqn.params):
+            found += rounded_products(inner)
+    return found
 
 
 def _twice(part: Any, run: Callable, inputs: Any, transform: Callable = lambda lanes: lanes) -> list[Any]:

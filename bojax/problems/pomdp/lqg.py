@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.numerics.linalg import full_precision
 from bojax.problems.actions import Box
 from bojax.problems.kalman import Gaussian, LinearGaussian
 from bojax.problems.pomdp.readings import GaussianReading, ReadingProblem
@@ -59,6 +60,7 @@ class Lqg(ReadingProblem):
         return jnp.append(start, 0.0)
 
     @override
+    @full_precision
     def step(
         self, key: Key[Array, ""], state: Float[Array, "D"], action: Float[Array, "K"]
     ) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
@@ -71,5 +73,6 @@ class Lqg(ReadingProblem):
         return jnp.append(moved, time), -cost, ended
 
     @override
+    @full_precision
     def reading(self, action: Float[Array, "K"], next_state: Float[Array, "D"]) -> GaussianReading:
         return GaussianReading(self.sensor @ next_state[:-1], self.sensor_noise)

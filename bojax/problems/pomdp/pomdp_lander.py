@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.numerics.linalg import full_precision
 from bojax.problems import kalman
 from bojax.problems.actions import Box
 from bojax.problems.particles import Particles
@@ -98,6 +99,7 @@ class PomdpLander(ReadingProblem):
         return GaussianReading(jnp.stack([distance, next_state[5], next_state[3]]), self.sensor_noise)
 
     @override
+    @full_precision
     def filter(
         self,
         key: Key[Array, ""],
