@@ -45,6 +45,12 @@ class _Tree(NamedTuple):
     following: np.ndarray
     rest: np.ndarray
 
+    def reduced(self, is_kept: np.ndarray) -> tuple["_Tree", np.ndarray]:
+        """The tree of some of the corners, with which the next ones are kept, and the new index of each."""
+        renumbered = np.cumsum(is_kept) - 1
+        following = renumbered[self.following[is_kept]]
+        return _Tree(self.corners[is_kept], following, self.rest[is_kept]), renumbered
+
 
 def shortest_ways(shape: "BaseGeometry", end: np.ndarray) -> ShortestWays:
     """The shortest ways in a polygon to a point `[2]` in it."""
@@ -85,14 +91,9 @@ def _by_sight(transfers: Transfers, end: np.ndarray) -> _Tree:
     whole[:number, :number] = lengths
     whole[number, :number] = whole[:number, number] = np.where(is_clear, np.maximum(apart, 1e-300), np.inf)
     rest, before = dijkstra(whole, indices=number, return_predecessors=True)
-    is_reached = np.isfinite(rest)
     before[number] = number
-    renumbered = np.cumsum(is_reached) - 1
-    return _Tree(
-        np.concatenate([corners, end[None]])[is_reached],
-        renumbered[before[is_reached]],
-        rest[is_reached],
-    )
+    tree, _ = _Tree(np.concatenate([corners, end[None]]), before, rest).reduced(np.isfinite(rest))
+    return tree
 
 
 def _first_in_sight(transfers: Transfers, points: np.ndarray, tree: _Tree) -> np.ndarray:
@@ -138,5 +139,5 @@ def _by_triangles(transfers: Transfers, end: np.ndarray, points: np.ndarray) -> 
     while not is_used[now].all():
         is_used[now] = True
         now = np.unique(following[now])
-    renumbered = np.cumsum(is_used) - 1
-    return _Tree(corners[is_used], renumbered[following[is_used]], rest[is_used]), renumbered[first]
+    tree, renumbered = _Tree(corners, following, rest).reduced(is_used)
+    return tree, renumbered[first]
