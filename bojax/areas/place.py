@@ -13,7 +13,7 @@ import numpy as np
 from bojax.areas import polygons
 from bojax.areas.area import Area, check_inside
 from bojax.areas.shapes import shapely_module, to_area, to_shape
-from bojax.fields.data import split_choice
+from bojax.fields.data import Points, split_choice
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
 from bojax.fields.raster_files import SUFFIXES as RASTERS
@@ -39,11 +39,13 @@ class Values:
         file: Its name.
         points: Positions `[N, 2]`, m.
         values: Values `[N]`.
+        label: Name of the values, with their unit in parentheses; empty if the file has none.
     """
 
     file: str
     points: np.ndarray
     values: np.ndarray
+    label: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +172,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         x_min, y_min, x_max, y_max = shape.bounds
         projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max))
         local = _moved(shape, lambda points: projection.from_other(points, crs))
-        values = None if raster is None else values_of(area, raster, projection)
+        values = None if raster is None else values_of(area, raster, raster.crs, projection)
     except ValueError as error:
         raise ValueError(_after(area, error)) from error
     if projection.distortion > TOLERANCE:
@@ -181,10 +183,17 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
     return Place(area, to_area(local), projection, tuple(notes), values)
 
 
-def values_of(file: str, raster: Raster, projection: Projection) -> Values:
-    """The values of a raster, in the frame of a projection; few enough to be drawn."""
-    points, values = raster.thinned(MOST_DRAWN).cells
-    return Values(file, projection.from_other(points, raster.crs), values)
+def values_of(file: str, read: Raster | Points, crs: str | None, projection: Projection) -> Values:
+    """The values that were read from a file, in the frame of a projection; few enough to be drawn.
+
+    Args:
+        file: Its name.
+        read: Its content.
+        crs: Coordinate reference system of its positions, as of `Projection.from_other`.
+        projection: The frame.
+    """
+    points, values = read.thinned(MOST_DRAWN).cells
+    return Values(file, projection.from_other(points, crs), values, read.label)
 
 
 @lru_cache(maxsize=8)

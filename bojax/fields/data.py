@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +38,20 @@ class Points:
     rows: "np.ndarray"
     names: list[str]
     left_out: int = 0
+
+    @property
+    def label(self) -> str:
+        """Name of the values; empty if the file has none."""
+        return self.names[2] if self.names else ""
+
+    @property
+    def cells(self) -> "tuple[np.ndarray, np.ndarray]":
+        """The points `[N, 2]`, and their values `[N]`."""
+        return self.rows[:, :2], self.rows[:, 2]
+
+    def thinned(self, most: int) -> "Points":
+        """The points, or every nth of them so that at most `most` remain."""
+        return replace(self, rows=self.rows[:: -(-len(self.rows) // most)])
 
     @property
     def crs(self) -> str | None:

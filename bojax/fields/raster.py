@@ -29,6 +29,7 @@ class Raster:
         crs: Coordinate reference system; None for metres without a place on the Earth.
         step: Number of cells of the file, along each axis, that one cell stands for.
         notes: What a user should know of how it was read, a sentence each.
+        label: Name of the values, with their unit in parentheses; empty if the file has none.
     """
 
     values: "np.ndarray"
@@ -37,6 +38,7 @@ class Raster:
     crs: str | None = None
     step: int = 1
     notes: tuple[str, ...] = ()
+    label: str = ""
 
     @property
     def is_hole(self) -> "np.ndarray":

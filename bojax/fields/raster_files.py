@@ -162,7 +162,8 @@ def _read_archive(file: str) -> Raster:
     masks = [array for array in arrays.values() if array.ndim == 2 and array.dtype == bool]
     if len(tables) != 1:
         raise ValueError(f"holds {len(tables)} tables of numbers; allowed: one, with a mask if need be")
-    values = np.array(next(iter(tables.values())), float)
+    ((name, table),) = tables.items()
+    values = np.array(table, float)
     NUMBERS.check(values.size, file)
     for mask in masks:
         if mask.shape == values.shape:  # as in numpy.ma: true where there is no data
@@ -171,6 +172,8 @@ def _read_archive(file: str) -> Raster:
     y, y_name = _axis_of(arrays, Y_NAMES, values.shape[0])
     is_geographic = x_name.startswith("lon") and y_name.startswith("lat")
     raster = regular(values, x, y, DEGREES if is_geographic or _are_degrees(x, y) else None, file)
+    is_named = name != "arr_0"  # the name that NumPy gives to an array without one
+    raster = replace(raster, label=name if is_named else "")
     return raster if x_name and y_name else replace(raster, notes=(UNSIZED,))
 
 
@@ -197,7 +200,7 @@ def _pivoted(points: Points, file: str) -> Raster:
         raise ValueError("the points are not on a regular grid; allowed for points: the field scattered")
     values = np.full((len(y), len(x)), np.nan)
     values[np.searchsorted(y, rows[:, 1]), np.searchsorted(x, rows[:, 0])] = rows[:, 2]
-    return regular(values, x, y, points.crs, file)
+    return replace(regular(values, x, y, points.crs, file), label=points.label)
 
 
 def _read_with_rasterio(path: str, chosen: str, most: int) -> Raster:
@@ -258,8 +261,15 @@ def _from_rasterio(data: Any, band: int, path: str, most: int) -> Raster:
         crs = DEGREES
     elif crs is None and _has_degrees(data, x, y):
         crs = DEGREES
-    raster = regular(values, x, y, crs, path)
-    return Raster(raster.values, raster.x, raster.y, raster.crs, step)
+    return replace(regular(values, x, y, crs, path), step=step, label=_label(data, band))
+
+
+def _label(data: Any, band: int) -> str:
+    """Name and unit of the values of a band; empty if it has no name and no unit."""
+    tags = data.tags(band)
+    name = tags.get("NETCDF_VARNAME") or data.descriptions[band - 1] or ""
+    unit = data.units[band - 1] or tags.get("units") or "1"
+    return name if unit == "1" else f"{name or 'value'} ({unit})"
 
 
 def _has_degrees(data: Any, x: "np.ndarray", y: "np.ndarray") -> bool:

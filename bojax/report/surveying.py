@@ -16,7 +16,7 @@ from bojax.report.drawing.base import Drawing
 from bojax.report.drawing.maps import QUIET, draw_scale
 from bojax.report.tables import Cell, Table
 from bojax.report.template import fill
-from bojax.report.text import counted, number
+from bojax.report.text import counted, number, printed, shortened
 from bojax.results.store import read_json, write_content
 
 SURVEY, ARRAYS = "survey.json", "survey.npz"
@@ -37,8 +37,8 @@ def build_survey_page(folder: Path) -> Path:
         }
         if survey["goal"]["kind"] in ("hotspots", "threshold"):
             plates["goal"] = _draw_goal(survey, maps).encoded()
-        for index, file in enumerate(survey["read"]):
-            plates[f"read-{index + 1}"] = _draw_read(maps, file, maps[f"read_{index}"]).encoded()
+        for index, read in enumerate(survey["read"]):
+            plates[f"read-{index + 1}"] = _draw_read(maps, read, maps[f"read_{index}"]).encoded()
     style.write_images(folder, {name: plate.files for name, plate in plates.items()})
     page = fill(
         "survey.html.j2",
@@ -146,7 +146,7 @@ def _draw_map(
     return figure, axes, scale
 
 
-def _draw_read(maps: Mapping[str, np.ndarray], file: str, rows: np.ndarray) -> Drawing:
+def _draw_read(maps: Mapping[str, np.ndarray], read: Mapping[str, str], rows: np.ndarray) -> Drawing:
     """The values that were read from a file, at their places."""
     shown = np.concatenate([maps["outline"], rows[:, :2]])
     figure, axes, _, scale = _axes(maps, shown)
@@ -163,8 +163,9 @@ def _draw_read(maps: Mapping[str, np.ndarray], file: str, rows: np.ndarray) -> D
         rasterized=True,
         zorder=0,
     )
-    name = Path(file).name
-    draw_scale(figure, drawn, [axes], shrink=0.7, label="value")
+    name = Path(read["file"]).name
+    label = shortened(printed(read["label"] or "value"), 50)
+    draw_scale(figure, drawn, [axes], shrink=0.7, label=label)
     low, high = number(float(rows[:, 2].min())), number(float(rows[:, 2].max()))
     return Drawing(
         figure,

@@ -55,7 +55,7 @@ def write_survey(
     write_arrays(folder / "survey.npz", arrays)
     content = {
         "area": place.name,
-        "read": [each.file for each in read],
+        "read": [{"file": each.file, "label": each.label} for each in read],
         "rule": "Best is the least error."
         if demand.budget is not None or demand.turning_radius
         else "All cover the area: best is the shortest.",

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.areas.place import MOST_CELLS, MOST_DRAWN, Place, Values, values_of
+from bojax.areas.place import MOST_CELLS, Place, Values, values_of
 from bojax.fields.data import read_points, split_choice
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
@@ -141,26 +141,24 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
 
 def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, Values, list[str]]:
     """Points `[N, 2]` in metres of the place and values `[N]` of an earlier survey, and notes on them."""
-    path, notes, read = split_choice(file)[0], list[str](), None
+    path, notes = split_choice(file)[0], list[str]()
     try:
         if Path(path).suffix.lower() in (".csv", ".txt", ".xyz"):
-            table = read_points(file)
+            read = read_points(file)
             # Columns without the name of a longitude are in the coordinates of the area.
-            crs = table.crs or place.projection.crs
+            crs = read.crs or place.projection.crs
             if crs == DEGREES:
-                table.check_degrees()
-            if table.left_out:
-                number = len(table.rows) + table.left_out
-                notes.append(f"{file}: {table.left_out} of {number} rows have no data and are left out.")
-            points, values = table.rows[:, :2], table.rows[:, 2]
+                read.check_degrees()
+            if read.left_out:
+                number = len(read.rows) + read.left_out
+                notes.append(f"{file}: {read.left_out} of {number} rows have no data and are left out.")
         else:
-            raster = read_raster(file, MOST_CELLS)
-            (points, values), crs = raster.cells, raster.crs
-            read = values_of(file, raster, place.projection)
-            notes += (f"{file}: {note}" for note in raster.notes)
-        points = place.projection.from_other(points, crs)
-        step = -(-len(points) // MOST_DRAWN)
-        return points, values, read or Values(file, points[::step], values[::step]), notes
+            read = read_raster(file, MOST_CELLS)
+            crs = read.crs
+            notes += (f"{file}: {note}" for note in read.notes)
+        points, values = read.cells
+        drawn = values_of(file, read, crs, place.projection)
+        return place.projection.from_other(points, crs), values, drawn, notes
     except ValueError as error:
         message = str(error)
         raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error

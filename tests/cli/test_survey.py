@@ -16,6 +16,7 @@ from bojax.cli.main import main  # noqa: E402
 from bojax.config.sweep import load_config, load_sweep  # noqa: E402
 from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.engine.build import build  # noqa: E402
+from bojax.report import surveying  # noqa: E402
 from bojax.report.surveying import _distance, survey_summary  # noqa: E402
 from bojax.surveys import model, planning, simulated  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
@@ -164,10 +165,17 @@ def test_a_threshold_weighs_places_by_an_earlier_survey_of_a_geotiff_with_holes(
     assert np.corrcoef(read[:, 0], read[:, 2])[0, 1] > 0.9
 
 
-def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path):
+def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path, monkeypatch):
+    labels, draw_scale = [], surveying.draw_scale
+
+    def draw(*args, label, **options):
+        labels.append(label)
+        return draw_scale(*args, label=label, **options)
+
+    monkeypatch.setattr(surveying, "draw_scale", draw)
     prior, out = tmp_path / "prior.csv", tmp_path / "out"
     rows = np.random.default_rng(0).uniform(0.0, 80.0, (30, 3))
-    prior.write_text("x,y,z\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()))
+    prior.write_text("x,y,Salt (PSU)\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()))
     words = ["--prior", str(prior), "--budget", "300", "--lawnmower", "--out", str(out)]
     assert main(["survey", write_ascii(tmp_path / "a.asc"), *words]) == 0
     with np.load(out / "survey.npz") as arrays:
@@ -175,6 +183,7 @@ def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path):
         np.testing.assert_allclose(arrays["read_1"], rows)
     text = (out / "report.html").read_text()
     assert "What was read from a.asc" in text and "What was read from prior.csv" in text
+    assert labels[1:] == ["value", "salt (psu)"]
 
 
 def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):

@@ -217,6 +217,34 @@ def test_a_raster_without_positions_is_named(tmp_path):
     assert [len(read_raster(str(tmp_path / name)).notes) for name in ("a.npy", "a.npz", "b.npz")] == [1, 1, 0]
 
 
+def test_values_have_the_name_and_the_unit_of_their_file(tmp_path):
+    rasterio = pytest.importorskip("rasterio")
+    from scipy.io import netcdf_file
+
+    tif, plain = (write_tif(tmp_path / name) for name in ("a.tif", "plain.tif"))
+    with rasterio.open(tif, "r+") as file:
+        file.set_band_description(1, "turbidity")
+        file.set_band_unit(1, "NTU")
+    sea = write_netcdf(tmp_path / "sea.nc", sst=np.ones((3, 2, 3)), ratio=np.ones((3, 2, 3)))
+    with netcdf_file(sea, "a") as file:
+        file.variables["sst"].units, file.variables["ratio"].units = "degC", "1"
+    np.savez(tmp_path / "named.npz", depth=np.ones((2, 3)))
+    np.savez(tmp_path / "nameless.npz", np.ones((2, 3)))
+    rows = "\n".join(f"{i % 3},{i // 3},{i}" for i in range(6))
+    for file, label in (
+        (tif, "turbidity (NTU)"),
+        (plain, ""),
+        (f"{sea}:sst:2", "sst (degC)"),
+        (f"{sea}:ratio:1", "ratio"),
+        (str(tmp_path / "named.npz"), "depth"),
+        (str(tmp_path / "nameless.npz"), ""),
+        (written(tmp_path, "a.asc", ASCII), ""),
+        (written(tmp_path, "a.xyz", f"x,y,height (m)\n{rows}"), "height (m)"),
+        (written(tmp_path, "b.xyz", rows), ""),
+    ):
+        assert read_raster(file).label == label, file
+
+
 def test_degrees_become_metres(tmp_path):
     path = written(tmp_path, "a.csv", "lon,lat,z\n10,54,1\n10.01,54,2\n10,54.01,3\n")
     pyproj = pytest.importorskip("pyproj")
