@@ -27,6 +27,9 @@ MOST_SEEN = 1000
 SMALL = 0.01
 """Share of the area's width below which the positions of an earlier survey may be in another unit."""
 
+FAR = 10.0
+"""Widths of the area beyond which the positions of an earlier survey may be errors."""
+
 NOISE = 0.1  # standard deviation of the noise of a measurement, as a share of that of the field
 
 
@@ -100,10 +103,15 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     if len(values) < 10:
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
     x_min, y_min, x_max, y_max = place.area.bounds
-    is_within = (points >= [x_min, y_min]) & (points <= [x_max, y_max])
-    if not is_within.all(axis=1).any():
-        notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
     width, extent = max(x_max - x_min, y_max - y_min), float(np.ptp(points, axis=0).max())
+    beyond = np.maximum([x_min, y_min] - points, points - [x_max, y_max]).max(axis=1)
+    if beyond.min() > 0.0:
+        notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
+    elif number := int(np.sum(beyond > FAR * width)):
+        notes.append(
+            f"{file}: {number} of {len(points)} values lie more than {FAR:g} widths of the area away from "
+            "it; check their positions, from which the lengthscale is learned."
+        )
     if extent <= 1e-9 * width:
         raise ValueError(f"{file}: all values lie at one place; allowed: places that differ")
     if extent < SMALL * width:
@@ -152,6 +160,10 @@ def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, Value
             if read.left_out:
                 number = len(read.rows) + read.left_out
                 notes.append(f"{file}: {read.left_out} of {number} rows have no data and are left out.")
+            if repeated := len(read.rows) - len(np.unique(read.rows, axis=0)):
+                notes.append(
+                    f"{file}: {repeated} of {len(read.rows)} rows repeat an earlier one; all of them count."
+                )
         else:
             read = read_raster(file, MOST_CELLS)
             crs = read.crs

@@ -58,6 +58,20 @@ def test_what_is_doubtful_in_an_earlier_survey_is_noted(tmp_path, monkeypatch):
     assert note.endswith("cells are taken to be 1 m wide.")
 
 
+def test_repeated_and_far_rows_of_an_earlier_survey_are_counted(tmp_path, monkeypatch):
+    rows = [f"{6 * i},{3 * (i % 7)},{i % 5}" for i in range(30)]
+    for more, counted in (
+        (rows[:4], "4 of 34 rows repeat an earlier one; all of them count."),
+        (["0,0,3"], None),  # measured again
+        (["1e7,5,1", "5,-1e5,2"], "2 of 32 values lie more than 10 widths of the area away from it; check"),
+        (["1900,5,1"], None),
+    ):
+        file = written(tmp_path / "old.csv", "\n".join(["x,y,z", *rows, *more]))
+        notes = notes_of(monkeypatch, file)
+        assert len(notes) == (counted is not None)
+        assert counted is None or notes[0].startswith(f"{file}: {counted}")
+
+
 def test_metres_are_refused_for_an_area_in_degrees(tmp_path):
     corners = [[9.0, 54.0], [9.01, 54.0], [9.01, 54.01], [9.0, 54.0]]
     area = json.dumps({"type": "Polygon", "coordinates": [corners]})
