@@ -31,7 +31,7 @@ def main() -> None:
     for heading in ("measurements", "belief", "error of the mean", "error of the deviation", "CPU s"):
         table.add_column(heading, justify="right")
     for number in NUMBERS:
-        route = lawnmower(SQUARE, 100.0 / (SPACING * number))
+        route = lawnmower(SQUARE, 100.0 / (SPACING * number)).route
         x = points_along(route, SPACING * np.arange(1, int(length_of(route) / SPACING)))
         grid, random = SQUARE.grid(0.25), np.random.default_rng(0)
         both = np.concatenate([x, grid])

@@ -57,7 +57,7 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
         from bojax.surveys.folder import write_survey
         from bojax.surveys.model import assumed_model, learned_model
         from bojax.surveys.planning import Demand, plan_survey
-        from bojax.surveys.team import keep_separation
+        from bojax.surveys.remarks import remarks
 
         try:
             place = read_place(args.area, args.below)
@@ -79,26 +79,8 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             survey = plan_survey(place.area, model, demand, optimises=not args.lawnmower)
         except ValueError as error:
             raise UsageError(one_line(error)) from error
-        if survey.share < 1.0 - 1e-6:
-            part = "the largest part" if start is None and end is None else "the part with the given points"
-            place = place.noted(
-                f"The area is not connected: {part}, {min(100 * survey.share, 99.9):.3g}% of it, is surveyed."
-            )
-        for note in model.notes:
+        for note in remarks(survey, demand, model, args.prior):
             place = place.noted(note)
-        if goal.needs_values and survey.weights.min() == survey.weights.max():
-            reason = "without --prior, " if args.prior is None else f"in {args.prior}, "
-            place = place.noted(f"All places count alike: {reason}nothing tells them apart for this goal.")
-        if not keep_separation(survey.chosen.routes, args.separation):
-            place = place.noted(f"No lawnmowers keep a separation of {args.separation:g} m.")
-        if args.robots == 1 and args.separation > 0.0:
-            place = place.noted("--separation: one robot does not use it.")
-        if budget is not None and args.spacing is not None:
-            place = place.noted(
-                "--spacing: with a budget, it is only the least distance between the lines of lawnmowers."
-            )
-        if args.robots > 1:
-            place = place.noted("simulation-N.yaml has robot N alone, without what others measure.")
         for note in place.notes:
             print(f"note: {note}")
         files = write_survey(out, place, model, survey, demand, args.speed, command)

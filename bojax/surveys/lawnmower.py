@@ -19,7 +19,7 @@ from bojax.areas.area import Area, edges_of
 from bojax.areas.shapes import polygons_of, rings_of, shapely_module, to_shape
 from bojax.areas.transfers import Transfers, Ways
 from bojax.surveys.polylines import driven_at, length_of
-from bojax.surveys.turns import drivable
+from bojax.surveys.turns import Turned, turned
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -80,7 +80,7 @@ def lawnmower(
     start: np.ndarray | None = None,
     end: np.ndarray | None = None,
     inset: bool = False,
-) -> np.ndarray:
+) -> Turned:
     """A route along parallel lines that covers an area.
 
     Args:
@@ -93,7 +93,7 @@ def lawnmower(
             before it.
 
     Returns:
-        Waypoints `[W, 2]`, m.
+        Waypoints `[W, 2]`, m, and what its turns leave out.
 
     Raises:
         ValueError: The spacing is not positive, or for too many lines, or an end is not in the area.
@@ -120,7 +120,7 @@ def lawnmowers_within(
     start: np.ndarray | None = None,
     end: np.ndarray | None = None,
     spacing: float = 0.0,
-) -> list[np.ndarray]:
+) -> list[Turned]:
     """Lawnmowers of one direction that are at most as long as the budget.
 
     Args:
@@ -150,17 +150,18 @@ def lawnmowers_within(
         if distance < spacing:
             continue
         try:
-            route = lawnmower(ground, distance, angle, start, end, inset=True)
+            found = lawnmower(ground, distance, angle, start, end, inset=True)
         except TurnsTooTight:
             continue
-        if length_of(route) <= budget:
-            whole = route
+        if length_of(found.route) <= budget:
+            whole = found
             break
-        denser = route
+        denser = found
     routes = [] if whole is None else [whole]
     if denser is not None:
         with contextlib.suppress(TurnsTooTight):  # at the beginning of the way to the end
-            routes.append(_turned(cut(denser, budget, end, ground.transfers), ground))
+            shorter = _turned(cut(denser.route, budget, end, ground.transfers), ground)
+            routes.append(Turned(shorter.route, max(shorter.left_out, denser.left_out)))
     if not routes:
         raise TurnsTooTight(ground.turning_radius)
     return routes
@@ -199,16 +200,18 @@ class TurnsTooTight(ValueError):
         )
 
 
-def _turned(route: np.ndarray, ground: Ground) -> np.ndarray:
+def _turned(route: np.ndarray, ground: Ground) -> Turned:
     """The route with turns of the radius of the ground.
 
     Raises:
         TurnsTooTight: It leaves too little room for them.
     """
-    turned = drivable(route, ground.turning_radius)
-    if turned is None or not (turned is route or ground.transfers.are_clear(turned[:-1], turned[1:]).all()):
+    found = turned(route, ground.turning_radius)
+    if found is None or not (
+        found.route is route or ground.transfers.are_clear(found.route[:-1], found.route[1:]).all()
+    ):
         raise TurnsTooTight(ground.turning_radius)
-    return turned
+    return found
 
 
 def _cells(

@@ -132,8 +132,8 @@ class Lawnmower(RouteFollower):
     ) -> Waypoints:
         """The lawnmower of a direction, at most as long as the budget."""
         if self.spacing is None:
-            return lawnmowers_within(ground, budget, angle, start, end)[0]
-        route = lawnmower(ground, float(self.spacing), angle, start, end, inset=True)
+            return lawnmowers_within(ground, budget, angle, start, end)[0].route
+        route = lawnmower(ground, float(self.spacing), angle, start, end, inset=True).route
         return route if length_of(route) <= budget else cut(route, budget, end, ground.transfers)
 
     def _drivable(self, problem: FieldProblem) -> float:

@@ -19,6 +19,7 @@ from bojax.surveys.model import FieldModel
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import NUM_GRID, RouteOptions, counted_points, plan_routes
 from bojax.surveys.team import keep_separation, team_lawnmowers
+from bojax.surveys.turns import Turned
 
 GRID_POINTS = 1500
 """Number of points at which the error counts."""
@@ -46,6 +47,7 @@ class Candidate:
         routes: Waypoints `[W, 2]` of each robot, m.
         distances: Distances from the start, which all robots drive at once, m; 0 first.
         errors: Mean standard deviation, weighted by the goal, after the measurements up to each distance.
+        left_out: Of a lawnmower, the largest share of a robot's waypoints that turns leave no room for.
     """
 
     method: str
@@ -53,6 +55,7 @@ class Candidate:
     routes: tuple[np.ndarray, ...]
     distances: np.ndarray
     errors: np.ndarray
+    left_out: float = 0.0
 
     @property
     def name(self) -> str:
@@ -181,17 +184,17 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     counting = ground if goal.region is None else ground_within(ground, goal.region)
     routes, lines = _lawnmowers(counting, model.lengthscale, demand)
     if goal.region is not None:
-        routes = [(f"{detail}, over the region", route) for detail, route in routes]
+        routes = [(f"{detail}, over the region", together) for detail, together in routes]
         if demand.budget is not None:
             routes += _lawnmowers(ground, model.lengthscale, demand)[0]
     spacing = math.sqrt(counting.size / GRID_POINTS)
     belief, grid = model.belief(), Area(tuple(counting.rings)).grid(spacing)
     weights = goal.weights(*model.predict(grid))
-    longest = max(length_of(route) for _, together in routes for route in together)
+    longest = max(length_of(each.route) for _, together in routes for each in together)
     sampling = demand.sampling or model.lengthscale / 5.0
     errors = PointErrors.of(belief, jnp.asarray(grid), jnp.asarray(weights))
     outcomes = _Outcomes(errors, sampling, demand.budget or longest, demand.robots)
-    found = [outcomes.of("lawnmower", detail, route) for detail, route in routes]
+    found = [outcomes.of_lawnmowers(*each) for each in routes]
     # Without a budget every candidate covers the area: the shortest one is the best. Turns may leave gaps.
     by_length = demand.budget is None and demand.turning_radius == 0.0
     found.sort(key=lambda each: each[0].length if by_length else each[0].error)
@@ -243,7 +246,7 @@ def lawnmower_guesses(
     errors = PointErrors.of(posterior, jnp.asarray(counted_points(area, region, NUM_GRID)))
     outcomes = _Outcomes(errors, sampling, demand.budget, demand.robots)
     routes, _ = _lawnmowers(ground, 0.0, demand)
-    found = [outcomes.of("lawnmower", detail, route)[0] for detail, route in routes]
+    found = [outcomes.of_lawnmowers(*each)[0] for each in routes]
     return {each.name: each.routes for each in sorted(found, key=lambda each: each.error)[:number]}
 
 
@@ -311,6 +314,12 @@ class _Outcomes:
         self._step = max(sampling, longest / self._number)
         self._per_sample = self._step / sampling
 
+    def of_lawnmowers(self, detail: str, together: Sequence[Turned]) -> tuple[Candidate, np.ndarray]:
+        """As `of`."""
+        candidate, variance = self.of("lawnmower", detail, [each.route for each in together])
+        left_out = max(each.left_out for each in together)
+        return dataclasses.replace(candidate, left_out=left_out), variance
+
     def of(self, method: str, detail: str, routes: Sequence[np.ndarray]) -> tuple[Candidate, np.ndarray]:
         """The routes of all robots as a candidate, and the variances at the grid after them."""
         distances = self._step * np.arange(1, self._number + 1)
@@ -331,7 +340,7 @@ class _Outcomes:
 
 def _lawnmowers(
     ground: Ground, lengthscale: float, demand: Demand
-) -> tuple[list[tuple[str, list[np.ndarray]]], float | None]:
+) -> tuple[list[tuple[str, list[Turned]]], float | None]:
     """Lawnmowers of all robots by direction, and the distance of lines without a budget."""
     lines = None if demand.budget is not None else demand.spacing or lengthscale
     routes, too_tight = [], None

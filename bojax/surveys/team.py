@@ -10,6 +10,7 @@ import numpy as np
 from bojax.areas.shapes import shapely_module
 from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within
 from bojax.surveys.polylines import Waypoints, distance_to, driven_at, length_of, points_along
+from bojax.surveys.turns import Turned
 
 MOST_ROBOTS = 4
 """Largest number of robots that are planned together."""
@@ -58,7 +59,7 @@ def team_lawnmowers(
     ends: Sequence[Point],
     budget: float | None,
     spacing: float,
-) -> list[list[Waypoints]]:
+) -> list[list[Turned]]:
     """Lawnmowers of several robots, one in a part each; with a budget, also the next closer ones, cut.
 
     Raises:

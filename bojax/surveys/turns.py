@@ -5,6 +5,7 @@ vehicle can drive a route whose legs are long enough for the arcs at both of the
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,25 @@ def least_radius(route: Waypoints) -> float:
     return float(np.min(lengths[needed > 0.0] / needed[needed > 0.0], initial=math.inf))
 
 
+class Turned(NamedTuple):
+    """A route with turns of at least a radius.
+
+    Attributes:
+        route: Waypoints `[W, 2]`, m.
+        left_out: Share of the waypoints that were removed, since they left too little room for turns.
+    """
+
+    route: Waypoints
+    left_out: float
+
+
 def drivable(route: Waypoints, radius: float) -> Waypoints | None:
+    """The route of `turned`, or None."""
+    found = turned(route, radius)
+    return None if found is None else found.route
+
+
+def turned(route: Waypoints, radius: float) -> Turned | None:
     """A route with turns of at least a radius, no longer than the given one, or None if there is none nearby.
 
     Waypoints that leave too little room for turns are removed. Turns are then written as polygons around
@@ -41,9 +60,10 @@ def drivable(route: Waypoints, radius: float) -> Waypoints | None:
     if not radius >= 0.0:
         raise ValueError(f"turning radius: got {radius:g}; allowed: >= 0 m")
     if radius == 0.0:
-        return route
+        return Turned(route, 0.0)
     route = route[np.append(True, _lengths(route) > 0.0)]
-    most = int(MOST_REMOVED * len(route))
+    number = len(route)
+    most = int(MOST_REMOVED * number)
     while (lacking := _lacking(route, radius)).max(initial=0.0) > ROUNDING * radius:
         worst = int(np.argmax(lacking))
         inner = range(max(worst - 1, 1), min(worst + 2, len(route) - 2) + 1)
@@ -52,7 +72,7 @@ def drivable(route: Waypoints, radius: float) -> Waypoints | None:
         shorter = [np.delete(route, index, axis=0) for index in inner]
         route = min(shorter, key=lambda each: float(_lacking(each, radius).sum()))
         most -= 1
-    return _rounded(route, radius)
+    return Turned(_rounded(route, radius), 1.0 - len(route) / number)
 
 
 def _rounded(route: Waypoints, radius: float) -> Waypoints:

@@ -97,7 +97,7 @@ def test_without_a_path_among_many_corners_the_error_is_one_line():
 
 def test_a_lawnmower_over_a_speckled_area_stays_inside():
     shape = speckled()
-    assert is_within(shape, lawnmower(to_area(shape), 4.0, 0.3))
+    assert is_within(shape, lawnmower(to_area(shape), 4.0, 0.3).route)
 
 
 def test_the_way_of_a_mission_never_leaves_the_area():

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from functools import partial
 
 import numpy as np
@@ -368,6 +369,40 @@ def test_the_turns_that_are_written_have_the_radius(tmp_path, plan):
     settings = json.loads((out / "survey.json").read_text())["settings"]
     assert settings["turning radius"].startswith("6 m; the tightest turn has 6")
     assert ("left out for the turns" in settings) == (plan == "--spacing 30")
+
+
+def test_a_budget_of_which_little_can_be_used_is_named(tmp_path, capsys):
+    for budget, words, reason in (
+        (800.0, "--turning-radius 60", "no longer route that was tried has turns of 60 m in the area"),
+        (3000.0, "--spacing 50 --lawnmower", "lines are not closer than --spacing, 50 m"),
+        (9e8, "--lawnmower", "more than 10,000 lines are not tried"),
+    ):
+        out = tmp_path / f"{budget:g}"
+        assert main(["survey", "300x110", "--budget", f"{budget}", *words.split(), "--out", str(out)]) == 0
+        length = json.loads((out / "survey.json").read_text())["candidates"][0]["length"]
+        used = f"Only {length:.4g} m ({100 * length / budget:.2g}%) of the budget of {budget:.6g} m are used"
+        assert f"note: {used}: {reason}.\n" in capsys.readouterr().out, reason
+
+
+def test_a_lawnmower_that_loses_waypoints_to_its_turns_is_named(tmp_path, capsys):
+    area = write_ascii(tmp_path / "a.asc")
+    for plan in ("--budget 500 --lawnmower", "--spacing 15"):
+        named = []
+        for radius in ("0.5", "6"):
+            out = tmp_path / f"{plan[2]}-{radius}"
+            words = [area, *plan.split(), "--turning-radius", radius, "--out", str(out)]
+            assert main(["survey", *words]) == 0
+            found = re.search(
+                r"note: The proposed lawnmower leaves out (\d+)% of its", capsys.readouterr().out
+            )
+            named.append(0 if found is None else int(found[1]))
+        assert named[0] == 0 < named[1] <= 33, plan
+
+
+def test_a_route_without_a_measurement_is_named(tmp_path, capsys):
+    words = ["100x100", "--budget", "300", "--sampling", "5km", "--lawnmower", "--out", str(tmp_path / "out")]
+    assert main(["survey", *words]) == 0
+    assert "note: Nothing is measured: the proposed route is shorter than 5000 m" in capsys.readouterr().out
 
 
 def test_what_a_survey_does_not_use_is_noted(tmp_path, capsys):

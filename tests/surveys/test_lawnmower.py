@@ -41,7 +41,7 @@ def apart(area: Area, route: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", AREAS)
 def test_a_lawnmower_stays_inside_and_covers_the_area(name: str, angle: float) -> None:
     area, spacing = AREAS[name], 0.8
-    route = lawnmower(area, spacing, angle)
+    route = lawnmower(area, spacing, angle).route
     assert is_inside(area, route)
     distance = apart(area, route)
     assert np.mean(distance <= spacing / 2 + 1e-6) > 0.985  # corners between two lines are cut
@@ -52,7 +52,7 @@ def test_a_lawnmower_stays_inside_and_covers_the_area(name: str, angle: float) -
 
 
 def test_lines_of_a_square_are_as_many_as_needed() -> None:
-    route = lawnmower(SQUARE, 2.0)
+    route = lawnmower(SQUARE, 2.0).route
     assert length_of(route) == pytest.approx(5 * 10.0 + 4 * 2.0)
     assert len(route) == 10
 
@@ -60,7 +60,7 @@ def test_lines_of_a_square_are_as_many_as_needed() -> None:
 @pytest.mark.parametrize("name", ["hole", "u-shape"])
 def test_a_route_begins_and_ends_where_it_must(name: str) -> None:
     start, end = np.array([1.0, 7.0]), np.array([9.0, 7.5])
-    route = lawnmower(AREAS[name], 1.0, 0.3, start, end)
+    route = lawnmower(AREAS[name], 1.0, 0.3, start, end).route
     np.testing.assert_array_equal(route[[0, -1]], [start, end])
     assert is_inside(AREAS[name], route)
 
@@ -72,7 +72,7 @@ def test_the_budget_is_kept(name: str, has_end: bool, budget: float) -> None:
     ground = Ground.of(AREAS[name])
     start, end = np.array([1.0, 1.0]), np.array([9.0, 7.5]) if has_end else None
     for angle in ANGLES:
-        for route in lawnmowers_within(ground, budget, angle, start, end):
+        for route, _ in lawnmowers_within(ground, budget, angle, start, end):
             assert length_of(route) <= budget + 1e-9
             assert is_inside(AREAS[name], route)
             np.testing.assert_array_equal(route[0], start)
@@ -83,11 +83,11 @@ def test_the_budget_is_kept(name: str, has_end: bool, budget: float) -> None:
 def test_a_budget_is_used_up_and_more_of_it_covers_more() -> None:
     ground = Ground.of(AREAS["hole"])
     reached = [
-        min(apart(AREAS["hole"], route).mean() for route in lawnmowers_within(ground, budget))
+        min(apart(AREAS["hole"], route).mean() for route, _ in lawnmowers_within(ground, budget))
         for budget in (20, 40, 80)
     ]
     assert reached[0] > reached[1] > reached[2]
-    assert max(map(length_of, lawnmowers_within(ground, 40.0))) > 39.0
+    assert max(length_of(route) for route, _ in lawnmowers_within(ground, 40.0)) > 39.0
 
 
 def test_the_way_around_a_hole_is_the_shortest() -> None:
@@ -130,13 +130,13 @@ def test_what_cannot_be_driven_is_refused(make, message: str) -> None:
 @pytest.mark.parametrize("name", AREAS)
 def test_inset_lines_stay_inside_and_are_shorter(name: str) -> None:
     area, spacing = AREAS[name], 0.8
-    route = lawnmower(area, spacing, inset=True)
+    route = lawnmower(area, spacing, inset=True).route
     assert is_inside(area, route)
-    assert length_of(route) < length_of(lawnmower(area, spacing))
+    assert length_of(route) < length_of(lawnmower(area, spacing).route)
     assert np.mean(apart(area, route) <= spacing / 2 + 1e-6) > 0.96
 
 
 def test_inset_lines_of_a_square_are_half_a_spacing_from_its_border() -> None:
-    route = lawnmower(SQUARE, 1.0, inset=True)
+    route = lawnmower(SQUARE, 1.0, inset=True).route
     np.testing.assert_allclose([route.min(0), route.max(0)], [[0.5, 0.5], [9.5, 9.5]])
     assert length_of(route) == pytest.approx(10 * 9.0 + 9.0)

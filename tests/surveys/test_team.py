@@ -36,7 +36,7 @@ def test_parts_have_equal_sizes_and_are_the_whole(number, angle):
 def test_lawnmowers_of_a_team_keep_their_budgets_and_stay_inside(number):
     starts = [np.array([0.2, 0.2])] * number
     for routes in team_lawnmowers(GROUND, number, 0.3, starts, starts, 25.0, 0.0):
-        for route in routes:
+        for route, _ in routes:
             assert length_of(route) <= 25.0 + 1e-6
             assert stays_inside(route, POND)
             np.testing.assert_allclose(route[[0, -1]], [starts[0], starts[0]])

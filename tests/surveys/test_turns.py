@@ -20,7 +20,7 @@ from bojax.surveys.lawnmower import _order_apart as order_apart  # noqa: E402
 from bojax.surveys.mission import Mission  # noqa: E402
 from bojax.surveys.polylines import length_of, points_along  # noqa: E402
 from bojax.surveys.route import RouteOptions, plan_route  # noqa: E402
-from bojax.surveys.turns import drivable, least_radius  # noqa: E402
+from bojax.surveys.turns import drivable, least_radius, turned  # noqa: E402
 from tests.surveys.test_lawnmower import AREAS, SQUARE, apart, is_inside  # noqa: E402
 
 
@@ -115,10 +115,10 @@ def test_lawnmowers_turn_as_widely_as_they_must(name):
     ground, found = Ground.of(area, turning_radius=0.3), []
     for angle in np.arange(DIRECTIONS) * np.pi / DIRECTIONS:
         with contextlib.suppress(TurnsTooTight):
-            route = lawnmower(ground, 1.0, angle)
+            route = lawnmower(ground, 1.0, angle).route
             assert np.mean(apart(area, route) < 1.0) > 0.95
             found.append(route)
-        for route in lawnmowers_within(ground, 60.0, angle, *ends):
+        for route, _ in lawnmowers_within(ground, 60.0, angle, *ends):
             assert length_of(route) <= 60.0 + 1e-9
             np.testing.assert_allclose(route[[0, -1]], ends)
             found.append(route)
@@ -127,12 +127,20 @@ def test_lawnmowers_turn_as_widely_as_they_must(name):
         assert can_be_driven(route, 0.3) and is_inside(area, route)
 
 
+def test_the_share_of_waypoints_that_turns_leave_out_is_told():
+    evenly = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    close = np.insert(evenly, 2, [[10.0, 0.1]], axis=0)  # a fifth waypoint beside another
+    for given, left_out in ((evenly, 0.0), (np.repeat(evenly, 2, axis=0), 0.0), (close, 0.2)):
+        found = turned(given, 2.0)
+        assert found is not None and found.left_out == pytest.approx(left_out)
+
+
 def test_lines_closer_than_a_turn_are_driven_in_another_order():
-    route = lawnmower(Ground.of(SQUARE, turning_radius=0.6), 0.4)
+    route = lawnmower(Ground.of(SQUARE, turning_radius=0.6), 0.4).route
     assert can_be_driven(route, 0.6) and is_inside(SQUARE, route)
     inner = Area.rectangle(0.6, 0.0, 9.4, 10.0)  # lines end a radius before the border
     assert np.mean(apart(inner, route) < 0.4) > 0.99
-    assert length_of(route) < 1.3 * length_of(lawnmower(SQUARE, 0.4))
+    assert length_of(route) < 1.3 * length_of(lawnmower(SQUARE, 0.4).route)
 
 
 def test_an_area_without_room_for_the_turns_is_one_line():
