@@ -58,6 +58,17 @@ def test_aims_are_not_reached_where_a_rival_is_better(tmp_path):
     assert set(verdicts(tmp_path).values()) == {MISSED}
 
 
+def test_an_aim_that_is_not_reached_stands_with_its_reason(tmp_path):
+    write_league(tmp_path, lambda field, method, start: 0.8 if method == "lawnmower" else 1.0, seconds=9.0)
+    html, text = (path.read_text() for path in write_pages(tmp_path))
+    for aim in judged(League.read(tmp_path)):
+        assert aim.reason
+        (row,) = (line for line in text.splitlines() if line.startswith(f"| {aim.short}: "))
+        assert row.endswith("| **not reached** |")
+        (row,) = (line for line in text.splitlines() if line.startswith(f"- {aim.short}: "))
+        assert row[-1] == "." and f"<li>{aim.short}: " in html
+
+
 def test_noise_leaves_an_aim_open(tmp_path):
     random = np.random.default_rng(0)
     write_league(tmp_path, lambda field, method, start: float(random.uniform(0.2, 2.0)))
