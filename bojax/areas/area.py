@@ -26,7 +26,7 @@ class Area:
     avoid: tuple[tuple[Ring, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.outline:
+        if len(self.outline) == 0:
             raise ValueError("area: has no outline; allowed: at least one ring of three corners")
         object.__setattr__(self, "outline", tuple(map(_ring, self.outline)))
         object.__setattr__(self, "avoid", tuple(tuple(map(_ring, zone)) for zone in self.avoid))
@@ -136,7 +136,10 @@ def _ring(corners: np.ndarray) -> Ring:
     Raises:
         ValueError: The ring has fewer than three corners, or a corner is not finite.
     """
-    ring = np.array(corners, float)
+    try:
+        ring = np.array(corners, float)
+    except (TypeError, ValueError) as error:  # text, or rows of different lengths
+        raise ValueError("area: a ring is not an array of numbers; allowed: rows of x and y") from error
     if ring.ndim != 2 or ring.shape[1] != 2:
         raise ValueError(f"area: got a ring of shape {ring.shape}; allowed: rows of x and y")
     if not np.isfinite(ring).all():

@@ -37,6 +37,10 @@ def parse_table(text: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
         table = np.loadtxt(lines, delimiter=delimiter, ndmin=2)
     except ValueError:
         rows = [_cells(line, delimiter) for line in lines]
+        for number, row in enumerate(rows, start=1):
+            if len(row) != len(rows[0]):
+                columns = f"row {number} has {len(row)} columns, and row 1 has {len(rows[0])}"
+                raise ValueError(f"{columns}; allowed: rows of equal length") from None
         filled = [["nan" if cell.lower() in _MISSING else cell for cell in row] for row in rows]
         is_text = _text_columns(filled) if ignores_text else [False] * len(rows[0])
         if filled == rows and not any(is_text):
@@ -55,9 +59,7 @@ def parse_table(text: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
 
 
 def _text_columns(rows: list[list[str]]) -> list[bool]:
-    """Whether each column holds text and no number; none does if the rows differ in length."""
-    if len({len(row) for row in rows}) > 1:
-        return [False] * len(rows[0])
+    """Whether each column holds text and no number."""
     columns = [[cell for cell in column if cell != "nan"] for column in zip(*rows, strict=True)]
     return [bool(cells) and not any(_is_numbers([cell]) for cell in cells) for cells in columns]
 

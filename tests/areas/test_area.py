@@ -73,6 +73,8 @@ def test_a_grid_has_the_size_of_the_area() -> None:
     [
         (lambda: Area(()), "has no outline"),
         (lambda: Area((np.eye(2),)), "2 corners"),
+        (lambda: Area((["here", "there", "nowhere"],)), "area: a ring is not an array of numbers"),
+        (lambda: Area(np.eye(3)), r"area: got a ring of shape \(3,\); allowed: rows of x and y"),
         (lambda: Area((np.array([[0.0, 0.0], [1.0, np.nan], [1.0, 1.0]]),)), "not finite"),
         (lambda: Area.rectangle(0.0, 0.0, 0.0, 1.0), "allowed: > 0"),
         (lambda: SQUARE.grid(0.0), "spacing"),

@@ -146,6 +146,7 @@ def test_columns_of_text_are_ignored_unless_a_row_would_be(tmp_path):
         ("S1,1,2,3\nS2,4,5,6\n", "a.csv: columns of text have no names; allowed: a first line with names"),
         ("x,y,depth\n1,2,3\n4,5,6m\n", "a.csv: could not convert string '6m'"),
         ("x,y\n1,2\n", "a.csv: has no column of values beside x and y"),
+        ("x,y,z\n1,2,3\n4,5\n", "a.csv: row 2 has 2 columns, and row 1 has 3; allowed: rows of equal length"),
         ("a,b,c,d\n1,2,3,4\n", "a.csv: got columns a, b, c, d; allowed: a column x or lon or"),
     ):
         with one_line(ValueError, message):
