@@ -1,11 +1,9 @@
 """A survey that goes on: plan the rest, drive a part of it, tell what was measured, plan again."""
 
 import dataclasses
-import json
 import warnings
 from collections import Counter
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +12,16 @@ import numpy as np
 
 from bojax.areas.area import Area, check_inside
 from bojax.config.extras import MissingExtra
-from bojax.fields.raster import LARGEST, NO_DATA
 from bojax.fields.scale import unit_doubt
-from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.results.store import write_arrays
-from bojax.surveys.beliefs import belief_from, model_of
+from bojax.surveys.given import above_zero, numbers, positions, rows
 from bojax.surveys.goals import Goal, goal_of
-from bojax.surveys.lawnmower import Ground, too_small
+from bojax.surveys.lawnmower import MOST_LINES, Ground, too_small
+from bojax.surveys.measurements import LEAST_DATA, MOST_EXACT, Measurements
+from bojax.surveys.mission_file import read_mission, write_mission
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
+from bojax.surveys.robot import Robot
 from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
 from bojax.surveys.search import Search, part_around
 from bojax.surveys.team import MOST_ROBOTS
@@ -32,36 +30,8 @@ from bojax.surveys.turns import drivable
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
 FAR = 0.5  # sizes of the area beyond its bounds at which a position is taken for an error
-LEAST_DATA = 10  # measurements before hyper-parameters are learned
-SPREAD = 1.0  # of the log-normal prior of the hyper-parameters
-MOST_EXACT = 256
-"""Measurements up to which the belief is exact in a plan; of more, it is summarised at as many points.
-
-Hyper-parameters are learned from as many of them at most."""
-
-MOST_MAPPED = 1024  # the same in a prediction
-
-RELEARNING = 2**31  # first of the numbers that are folded into the keys of relearning; plans have small ones
+MOST_MAPPED = 1024  # measurements up to which the belief is exact in a prediction
 NOTHING: Waypoints = np.zeros((0, 2))
-
-
-@dataclasses.dataclass
-class Robot:
-    """What a mission knows of a robot.
-
-    Attributes:
-        position: Where it is, m.
-        remaining: Distance left, m.
-        end: Its last position, m; None for anywhere.
-        route: Its last plan.
-        time: Latest time of its measurements.
-    """
-
-    position: Waypoints
-    remaining: float
-    end: Waypoints | None = None
-    route: Route | None = None
-    time: float = -np.inf
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +72,7 @@ class Mission:
             magnitude) and `no_data` (such as -9999), values that stand for missing data, `far_off` (a
             position), `duplicate`, `bad_pose`; `time_backwards`, for measurements that are kept; and
             `tight_turns`, plans that go on with the earlier one since no other has turns of the radius.
-        hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
+        measured: The measurements, and the belief that is learned from them.
         goal: What the survey is for.
     """
 
@@ -153,25 +123,31 @@ class Mission:
             raise ValueError(f"area: got {area!r:.60}; allowed: an Area, such as bojax.read_place(FILE).area")
         if robots not in range(1, MOST_ROBOTS + 1):
             raise ValueError(f"robots: got {robots}; allowed: 1 to {MOST_ROBOTS}")
-        if not (np.isfinite(separation) and separation >= 0):
+        separation = numbers("separation", separation, ">= 0")
+        if separation.ndim or not (np.isfinite(separation) and separation >= 0):
             raise ValueError(f"separation: got {separation}; allowed: >= 0")
-        starts = _positions("start", start, robots)
-        ends = [None] * robots if end is None else _positions("end", end, robots)
-        budget = _above_zero("budget", budget, "m")
+        if not (isinstance(seed, int | np.integer) and seed >= 0):
+            raise ValueError(f"seed: got {seed}; allowed: an integer >= 0")
+        if not (options is None or isinstance(options, RouteOptions)):
+            raise ValueError(f"options: got {options!r:.60}; allowed: RouteOptions")
+        starts = positions("start", start, robots)
+        ends = [None] * robots if end is None else positions("end", end, robots)
+        budget = above_zero("budget", budget, "m")
         self._prepare(area, [Robot(at, budget, to) for at, to in zip(starts, ends, strict=True)], options)
+        if budget > (most := MOST_LINES * self._size):
+            longest = f"{most:g} m, that of {MOST_LINES:,} lines across the area"
+            raise ValueError(f"budget: got {budget:g} m; allowed: at most {longest}")
         self.separation, self.seed = float(separation), seed
-        self.spacing = _above_zero("spacing", spacing, "m")
-        lengthscale = (
-            self._size / 6.0 if lengthscale is None else _above_zero("lengthscale", lengthscale, "m")
-        )
-        self.hyperparameters = (lengthscale, 1.0, _above_zero("noise_variance", noise_variance))
-        self._medians = self.hyperparameters
+        self.spacing = above_zero("spacing", spacing, "m")
+        lengthscale = self._size / 6.0 if lengthscale is None else above_zero("lengthscale", lengthscale, "m")
+        # Plans of a team take too long with room for all that it will measure.
+        expected = int(min(MOST_EXACT, budget / self.spacing)) if robots == 1 else 0
+        noise_variance = above_zero("noise_variance", noise_variance)
+        self.measured = Measurements((lengthscale, 1.0, noise_variance), expected)
         if relearn_every is not None:
-            _above_zero("relearn_every", relearn_every)
+            above_zero("relearn_every", relearn_every)
         self.relearn_every = relearn_every
         self.goal = goal_of(goal)
-        # Plans of a team take too long with room for all that it will measure.
-        self._expected = int(min(MOST_EXACT, budget / self.spacing)) if robots == 1 else 0
         self._check_ways()
         if robots == 1 and separation > 0:
             warnings.warn(f"separation: got {separation:g} m, which one robot does not use", stacklevel=2)
@@ -184,10 +160,7 @@ class Mission:
         self.options = OPTIONS if options is None else options
         self.relearn_every, self.seed = None, 0
         self.counts: Counter[str] = Counter()
-        self._x, self._y = NOTHING, np.zeros(0)
-        self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
-        self._shift, self._scale = 0.0, 1.0
-        self._learned_at, self._plans, self._expected = 0, 0, 0
+        self._plans = 0
         self._is_doubted = False  # the unit of the values, by a warning
 
     def _check_ways(self) -> None:
@@ -210,7 +183,16 @@ class Mission:
     @property
     def num_measurements(self) -> int:
         """Measurements in the belief."""
-        return len(self._y)
+        return len(self.measured)
+
+    @property
+    def hyperparameters(self) -> tuple[float, float, float]:
+        """Lengthscale (m), variance and noise variance, both of standardised values."""
+        return self.measured.hyperparameters
+
+    @hyperparameters.setter
+    def hyperparameters(self, values: tuple[float, float, float]) -> None:
+        self.measured.hyperparameters = values
 
     @property
     def position(self) -> Waypoints:
@@ -327,7 +309,8 @@ class Mission:
         """
         goal = Goal()
         if self.num_measurements:
-            goal = dataclasses.replace(self.goal, threshold=(self.goal.threshold - self._shift) / self._scale)
+            threshold = self.measured.standardised(self.goal.threshold)
+            goal = dataclasses.replace(self.goal, threshold=threshold)
         routes: list[Route] = []
         rests = [self._earlier(leg) for leg in legs]
         for number, leg in enumerate(legs):
@@ -383,51 +366,37 @@ class Mission:
 
         Raises:
             ValueError: The points are not rows of x and y, there are not as many values, or times, as points,
-                or there is no such robot.
+                one of them is not a number, or there is no such robot. Then nothing has changed.
         """
         if robot is None and len(self.robots) == 1:
             robot = 0
         if robot is None or robot not in range(len(self.robots)):
             raise ValueError(f"robot: got {robot}; allowed: 0 to {len(self.robots) - 1}")
         its = self.robots[robot]
-        points = _rows("points", points)
-        values = np.ma.filled(np.ma.asarray(values, float), np.nan).reshape(-1)
+        points = rows("points", points)
+        values = numbers("values", values).reshape(-1)
+        pose = None if pose is None else numbers("pose", pose, "x and y in metres").reshape(-1)[:2]
         if len(points) != len(values):
             raise ValueError(f"values: got {len(values)}; allowed: {len(points)}, one for each point")
         if times is not None:
-            times = np.asarray(times, float).reshape(-1)
+            times = numbers("times", times).reshape(-1)
             if len(times) != len(points):
                 raise ValueError(f"times: got {len(times)}; allowed: {len(points)}, one for each point")
             self.counts["time_backwards"] += int(np.sum(np.diff(np.append(its.time, times)) < 0.0))
             its.time = max(its.time, *times.tolist()) if len(times) else its.time
         is_far = ~self._is_near(points)
-        is_finite = np.isfinite(values) & np.isfinite(points).all(axis=1)
-        self._move(its, points[~is_far], pose)
-        rows = np.column_stack([points, values])
-        is_taken = np.zeros(len(rows), bool)
-        for index, row in enumerate(map(tuple, rows.tolist())):
-            reason = (
-                "not_finite" if not is_finite[index]
-                else "too_large" if abs(values[index]) > LARGEST
-                else "no_data" if values[index] in NO_DATA
-                else "far_off" if is_far[index]
-                else "duplicate" if row in self._held
-                else ""
-            )  # fmt: skip
-            if reason:
-                self.counts[reason] += 1
-                continue
-            self._held.add(row)
-            is_taken[index] = True
-        self._x = np.concatenate([self._x, points[is_taken]])
-        self._y = np.concatenate([self._y, values[is_taken]])
-        if not self._is_doubted and (doubt := unit_doubt(self._y)):
+        if pose is not None and not (len(pose) == 2 and self._is_near(pose)):
+            self.counts["bad_pose"] += 1
+            pose = None
+        its.drive(points[~is_far], pose)
+        taken = self.measured.take(points, values, is_far, self.counts)
+        if not self._is_doubted and (doubt := unit_doubt(self.measured.y)):
             self._is_doubted = True
             warnings.warn(f"values: {doubt}", stacklevel=2)
         every = self.relearn_every
-        if every is not None and self.num_measurements - self._learned_at >= max(every, LEAST_DATA):
+        if every is not None and self.num_measurements - self.measured.learned_at >= max(every, LEAST_DATA):
             self.relearn()
-        return int(np.sum(is_taken))
+        return taken
 
     def relearn(self) -> None:
         """Standardise the values, and learn the hyper-parameters from them by their evidence.
@@ -435,71 +404,33 @@ class Mission:
         Each has a log-normal prior about its first value, and the lengthscale stays between the spacing and
         twice the size of the area. With fewer than `LEAST_DATA` measurements, nothing changes.
         """
-        if self.num_measurements < LEAST_DATA:
-            return
-        self._learned_at = self.num_measurements
-        self._shift, scale = float(np.mean(self._y)), float(np.std(self._y))
-        self._scale = scale if scale > 0.0 else 1.0
-        with jax.enable_x64(True):
-            key = jax.random.fold_in(jax.random.key(self.seed), RELEARNING + self.num_measurements)
-            prior = _prior_about(self._medians)
-            gp, _ = relearn(self._learned_from(), key, log_prior=prior, num_starts=2)
-            kernel: Any = gp.kernel
-            found = kernel.kernel.lengthscale, kernel.variance, gp.noise_variance
-        lengthscale, variance, noise = map(float, found)
-        lengthscale = float(np.clip(lengthscale, self.spacing, 2.0 * self._size))
-        self.hyperparameters = (lengthscale, variance, noise)
+        self.measured.relearn(self.seed, self.spacing, 2.0 * self._size)
 
     def posterior(self) -> GaussianProcess:
         """The belief about the standardised values that a plan is made from.
 
         It has room for a power of two of them or, beyond `MOST_EXACT`, is a `sparse_posterior`.
         """
-        return self._belief(MOST_EXACT)
-
-    def _belief(self, most: int) -> GaussianProcess:
-        """The belief, exact up to a number of measurements, with room for all that the budget allows."""
-        values = (self._y - self._shift) / self._scale
-        return belief_from(self.hyperparameters, self._x, values, most, self._expected)
-
-    def _learned_from(self) -> GaussianProcess:
-        """The exact belief from a random part of the measurements, if there are many."""
-        chosen = np.arange(self.num_measurements)
-        if self.num_measurements > MOST_EXACT:
-            random = np.random.default_rng([self.seed, self.num_measurements])
-            chosen = np.sort(random.choice(chosen, MOST_EXACT, replace=False))
-        values = (self._y[chosen] - self._shift) / self._scale
-        return belief_from(self.hyperparameters, self._x[chosen], values, MOST_EXACT)
+        return self.measured.belief(MOST_EXACT)
 
     def predict(self, points: Any, most: int = MOST_MAPPED) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values.
 
-        Up to `most` measurements they are exact; of more, the belief is summarised at as many points.
+        Both are NaN at a point that is not finite. Up to `most` measurements they are exact; of more, the
+        belief is summarised at as many points.
+
+        Raises:
+            ValueError: The points are not rows of x and y.
         """
-        with jax.enable_x64(True):
-            mean, variance = self._belief(most).predict(np.asarray(points, float))
-            deviation = np.sqrt(np.asarray(variance))
-        return self._shift + self._scale * np.asarray(mean), self._scale * deviation
+        points = rows("points", points)
+        # At a distance that is not finite, the kernel is 1: such a point would be known as a measured one.
+        is_finite = np.isfinite(points).all(axis=1)
+        mean, deviation = self.measured.predict(np.where(is_finite[:, None], points, 0.0), most)
+        return np.where(is_finite, mean, np.nan), np.where(is_finite, deviation, np.nan)
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
-        plain = {name: getattr(self, name) for name in _PLAIN}
-        plain["remaining"], plain["_time"] = zip(
-            *((robot.remaining, robot.time) for robot in self.robots), strict=True
-        )
-        plain["counts"], plain["options"] = dict(self.counts), dataclasses.asdict(self.options)
-        region = () if self.goal.region is None else self.goal.region.outline
-        plain["goal"] = self.goal.kind, self.goal.threshold, len(region)
-        plain["rings"] = [len(zone) for zone in (self.area.outline, *self.area.avoid)]
-        rings = [ring for zone in (self.area.outline, *self.area.avoid) for ring in zone] + list(region)
-        arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
-        arrays |= {"x": self._x, "y": self._y, "position": [robot.position for robot in self.robots]}
-        arrays |= {"end": [robot.end for robot in self.robots if robot.end is not None] or NOTHING}
-        arrays |= {
-            f"route{number or ''}": NOTHING if robot.route is None else robot.route.waypoints
-            for number, robot in enumerate(self.robots)
-        }
-        write_arrays(Path(path), {"plain": np.asarray(json.dumps(plain)), **arrays})
+        write_mission(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> "Mission":
@@ -509,44 +440,8 @@ class Mission:
             ValueError: The file is not one.
             FileNotFoundError: There is no such file.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                data = {name: file[name] for name in file.files}
-            plain = json.loads(str(data["plain"]))
-            options = plain.pop("options")
-            options["stretch"] = tuple(options["stretch"])
-            kind, threshold, of_region = plain.pop("goal", ("map", np.nan, 0))
-            number = sum(plain["rings"]) + of_region
-            rings = iter([data[f"ring_{index}"] for index in range(number)])
-            zones = [tuple(next(rings) for _ in range(number)) for number in plain.pop("rings")]
-            end = data["end"] if data["end"].size else None
-            area = Area(zones[0], tuple(zones[1:]))
-            region = Area(tuple(rings)) if of_region else None
-            remaining, times = (np.atleast_1d(plain.pop(name)).tolist() for name in ("remaining", "_time"))
-            positions = _positions("position", data["position"], len(remaining))
-            ends = [None] * len(remaining) if end is None else _positions("end", end, len(remaining))
-            mission = cls.__new__(cls)  # unlike a new one, it may have left the area or used its budget
-            robots = [
-                Robot(at, left, to, time=time)
-                for at, left, to, time in zip(positions, remaining, ends, times, strict=True)
-            ]
-            mission._prepare(area, robots, RouteOptions(**options))
-            for number, robot in enumerate(robots):
-                waypoints = data[f"route{number or ''}"]
-                if len(waypoints):
-                    robot.route = Route(waypoints, length_of(waypoints), np.nan, "earlier plan", {})
-            mission.goal = Goal(kind, threshold, region)
-            mission.counts = Counter(plain.pop("counts"))
-            mission._x, mission._y = data["x"], data["y"]
-            mission._held = set(map(tuple, np.column_stack([data["x"], data["y"]]).tolist()))
-            for name in plain.keys() & set(_PLAIN):
-                setattr(mission, name, plain[name])
-            mission.hyperparameters = tuple(plain["hyperparameters"])
-            mission._medians = tuple(plain["_medians"])
-        except FileNotFoundError:
-            raise
-        except Exception as error:
-            raise ValueError(f"{path}: not a saved mission, or damaged") from error
+        mission = cls.__new__(cls)  # unlike a new one, it may have left the area or used its budget
+        read_mission(mission, path)
         return mission
 
     def _is_near(self, points: Waypoints) -> np.ndarray:
@@ -555,18 +450,6 @@ class Mission:
         low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
         beyond = np.maximum(low - points, points - high)
         return np.all(beyond <= FAR * self._size, axis=-1)  # False for NaN
-
-    def _move(self, robot: Robot, points: Waypoints, pose: Any) -> None:
-        """Go along the points to the pose, and take the length from the budget."""
-        way = [robot.position, *points]
-        if pose is not None:
-            pose = np.asarray(pose, float).reshape(-1)[:2]
-            if len(pose) == 2 and self._is_near(pose[None])[0]:
-                way.append(pose)
-            else:
-                self.counts["bad_pose"] += 1
-        robot.remaining = max(robot.remaining - length_of(np.array(way)), 0.0)
-        robot.position = np.array(way[-1])
 
     def _entry(self, position: Waypoints) -> Waypoints:
         """A position, or the nearest of the grid's points if it lies outside the area."""
@@ -601,56 +484,3 @@ class Mission:
             )}  # fmt: skip
         except (MissingExtra, ValueError):  # without shapely, or a budget for them
             return {}
-
-
-_PLAIN = (
-    "spacing", "relearn_every", "seed", "separation", "hyperparameters", "_medians", "_shift", "_scale",
-    "_learned_at", "_plans", "_expected",
-)  # fmt: skip
-"""Attributes of a mission that are saved as JSON."""
-
-
-@lru_cache(maxsize=8)
-def _prior_about(medians: tuple[float, float, float]) -> LogPrior:
-    """The prior of all missions with these medians: each function compiles `relearn` anew."""
-    return log_normal_prior(*model_of(medians), SPREAD)
-
-
-def _above_zero(name: str, given: Any, unit: str = "") -> float:
-    """A number above 0.
-
-    Raises:
-        ValueError: It is none.
-    """
-    try:
-        value = np.nan if isinstance(given, str) else float(given)
-    except (TypeError, ValueError):
-        value = np.nan
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: got {given}; allowed: a number > 0{unit and f', {unit}'}")
-    return value
-
-
-def _rows(name: str, given: Any) -> Waypoints:
-    """Rows of x and y, or nothing.
-
-    Raises:
-        ValueError: They have another form.
-    """
-    try:
-        rows = np.asarray(given, float)
-    except (TypeError, ValueError) as error:  # text, or rows of different lengths
-        raise ValueError(f"{name}: not an array of numbers; allowed: [[x, y], ...], m") from error
-    if rows.size and (rows.ndim != 2 or rows.shape[1] != 2):
-        raise ValueError(f"{name}: got the shape {rows.shape}; allowed: (N, 2), rows of x and y, m")
-    return rows.reshape(-1, 2)
-
-
-def _positions(name: str, given: Any, robots: int) -> list[Waypoints]:
-    """A position for each robot, of one for all or one for each; further numbers of each are left out."""
-    points = np.atleast_2d(np.asarray(given, float))[:, :2]
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise ValueError(f"{name}: got {given}; allowed: x and y in metres")
-    if len(points) not in (1, robots):
-        raise ValueError(f"{name}: got {len(points)} positions; allowed: one, or one for each robot")
-    return list(np.broadcast_to(points, (robots, 2)).copy())

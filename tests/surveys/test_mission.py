@@ -145,6 +145,35 @@ def test_points_of_another_form_are_refused(points, message):
     assert survey.num_measurements == 0 and survey.remaining == 12.0
 
 
+@pytest.mark.parametrize(
+    "change", [{"values": ["deep"]}, {"values": [1j]}, {"pose": "here"}, {"times": ["noon"]}]
+)
+def test_an_observation_that_is_not_of_numbers_changes_nothing(change):
+    survey = mission()
+    (name,) = change
+    with pytest.raises(ValueError, match=f"^{name}: not an array of numbers; allowed: "):
+        survey.observe(**({"points": [[1.1, 1.0]], "values": [2.0], "times": [-1.0]} | change))
+    assert survey.observe([[1.1, 1.0]], [2.0], times=[-2.0]) == 1
+    assert not survey.counts["time_backwards"] and survey.remaining == pytest.approx(12.0 - 0.1)
+
+
+def test_masked_positions_are_left_out():
+    survey = mission()
+    points = np.ma.masked_greater([[1.1, 1.0], [1.2, 1.0], [5.0, 1.0]], 4.0)
+    assert survey.observe(points, [1.0, 2.0, 3.0]) == 2 and survey.counts["not_finite"] == 1
+    assert survey.remaining == pytest.approx(12.0 - 0.2)
+
+
+def test_nothing_is_predicted_at_a_point_that_is_not_finite():
+    survey = mission()
+    survey.observe([[1.1, 1.0], [1.2, 1.0]], [3.0, 4.0])
+    mean, deviation = survey.predict([[1.1, 1.0], [np.nan, 1.0], [np.inf, 1.0]])
+    np.testing.assert_array_equal(np.isnan(mean), [False, True, True])
+    np.testing.assert_array_equal(np.isnan(deviation), [False, True, True])
+    with pytest.raises(ValueError, match=r"^points: got the shape \(2,\); allowed: \(N, 2\)"):
+        survey.predict([1.1, 1.0])
+
+
 def test_the_belief_outgrows_its_capacity():
     survey = mission()
     points = np.random.default_rng(0).uniform(0.0, 6.0, (150, 2))
@@ -242,6 +271,17 @@ def test_a_damaged_file_is_one_line(tmp_path):
             "budget: got 4 m, but the shortest way from the start to the end is 4.5 m long",
         ),
         ({"start": [np.nan, 0.0]}, "start: got .*; allowed: x and y in metres"),
+        ({"start": "1,1"}, "start: not an array of numbers; allowed: x and y in metres"),
+        ({"end": [[1.0, 1.0], [2.0]]}, "end: not an array of numbers; allowed: x and y in metres"),
+        ({"separation": "far"}, "separation: not an array of numbers; allowed: >= 0"),
+        ({"separation": [1.0, 2.0]}, r"separation: got \[1. 2.\]; allowed: >= 0"),
+        ({"seed": "a"}, "seed: got a; allowed: an integer >= 0"),
+        ({"seed": -1}, "seed: got -1; allowed: an integer >= 0"),
+        ({"options": {"steps": 5}}, "options: got {'steps': 5}; allowed: RouteOptions"),
+        (
+            {"budget": 1e9},
+            "budget: got 1e\\+09 m; allowed: at most 60000 m, that of 10,000 lines across the area",
+        ),
     ],
 )
 def test_bad_input_is_one_line(change, message):
@@ -364,4 +404,4 @@ def test_a_belief_from_many_measurements_is_close_to_the_exact_one_and_plans_are
     length = length_of(way)
     driven = points_along(way, np.linspace(0.0, length, 101))
     assert np.median(driven[:, 1]) > 3.0 and length <= 12.0 + 1e-6
-    assert survey._learned_from().count == 256
+    assert survey.measured.some(survey.seed).count == 256

@@ -1,0 +1,139 @@
+"""What a mission has measured, and the belief about the field that it learns from this."""
+
+from collections import Counter
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+
+from bojax.fields.raster import LARGEST, NO_DATA
+from bojax.models.evidence import LogPrior, log_normal_prior, relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.surveys.beliefs import belief_from, model_of
+from bojax.surveys.polylines import Waypoints
+
+LEAST_DATA = 10  # measurements before hyper-parameters are learned
+SPREAD = 1.0  # of the log-normal prior of the hyper-parameters
+MOST_EXACT = 256
+"""Measurements up to which the belief is exact in a plan; of more, it is summarised at as many points.
+
+Hyper-parameters are learned from as many of them at most."""
+
+RELEARNING = 2**31  # first of the numbers that are folded into the keys of relearning; plans have small ones
+
+
+class Measurements:
+    """Measurements, and a Gaussian process of the standardised values with a Matern 5/2 kernel.
+
+    Attributes:
+        x: Positions `[N, 2]`, m.
+        y: Values `[N]`.
+        hyperparameters: Lengthscale (m), variance and noise variance, both of standardised values.
+        medians: Their first values, about which they are learned.
+        shift: Mean by which values are standardised.
+        scale: Standard deviation by which they are.
+        learned_at: Number of measurements when the hyper-parameters were learned last.
+        expected: Number of measurements for which the belief has room from the first on.
+    """
+
+    def __init__(self, hyperparameters: tuple[float, float, float], expected: int = 0):
+        """Begin without a measurement."""
+        self.x, self.y = np.zeros((0, 2)), np.zeros(0)
+        self.hyperparameters = self.medians = hyperparameters
+        self.shift, self.scale = 0.0, 1.0
+        self.learned_at, self.expected = 0, expected
+        self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
+
+    def __len__(self) -> int:
+        """Number of measurements."""
+        return len(self.y)
+
+    def take(self, points: Waypoints, values: np.ndarray, is_far: np.ndarray, counts: Counter[str]) -> int:
+        """Add values `[S]` at points `[S, 2]`, and return how many were added.
+
+        What cannot be used is left out and counted by its reason, which for points that are too far away,
+        `is_far`, is `far_off`.
+        """
+        is_finite = np.isfinite(values) & np.isfinite(points).all(axis=1)
+        rows = np.column_stack([points, values])
+        is_taken = np.zeros(len(rows), bool)
+        for index, row in enumerate(map(tuple, rows.tolist())):
+            reason = (
+                "not_finite" if not is_finite[index]
+                else "too_large" if abs(values[index]) > LARGEST
+                else "no_data" if values[index] in NO_DATA
+                else "far_off" if is_far[index]
+                else "duplicate" if row in self._held
+                else ""
+            )  # fmt: skip
+            if reason:
+                counts[reason] += 1
+                continue
+            self._held.add(row)
+            is_taken[index] = True
+        self.x = np.concatenate([self.x, points[is_taken]])
+        self.y = np.concatenate([self.y, values[is_taken]])
+        return int(np.sum(is_taken))
+
+    def restore(self, x: Waypoints, y: np.ndarray) -> None:
+        """Set all measurements at once, as they were taken before."""
+        self.x, self.y = x, y
+        self._held = set(map(tuple, np.column_stack([x, y]).tolist()))
+
+    def relearn(self, seed: int, shortest: float, longest: float) -> None:
+        """Standardise the values, and learn the hyper-parameters from them by their evidence.
+
+        Each has a log-normal prior about its first value, and the lengthscale stays between the shortest and
+        the longest, m. With fewer than `LEAST_DATA` measurements, nothing changes.
+        """
+        if len(self) < LEAST_DATA:
+            return
+        self.learned_at = len(self)
+        self.shift, scale = float(np.mean(self.y)), float(np.std(self.y))
+        self.scale = scale if scale > 0.0 else 1.0
+        with jax.enable_x64(True):
+            key = jax.random.fold_in(jax.random.key(seed), RELEARNING + len(self))
+            prior = _prior_about(self.medians)
+            gp, _ = relearn(self.some(seed), key, log_prior=prior, num_starts=2)
+            kernel: Any = gp.kernel
+            found = kernel.kernel.lengthscale, kernel.variance, gp.noise_variance
+        lengthscale, variance, noise = map(float, found)
+        self.hyperparameters = (float(np.clip(lengthscale, shortest, longest)), variance, noise)
+
+    def standardised(self, values: Any) -> Any:
+        """Values in the units of the belief."""
+        return (values - self.shift) / self.scale
+
+    def belief(self, most: int) -> GaussianProcess:
+        """The belief about the standardised values, exact up to `most` measurements.
+
+        It has room for a power of two of them or, beyond `most`, is a `sparse_posterior`.
+        """
+        return belief_from(self.hyperparameters, self.x, self.standardised(self.y), most, self.expected)
+
+    def some(self, seed: int) -> GaussianProcess:
+        """The exact belief from at most `MOST_EXACT` of the measurements, drawn at random."""
+        chosen = np.arange(len(self))
+        if len(self) > MOST_EXACT:
+            random = np.random.default_rng([seed, len(self)])
+            chosen = np.sort(random.choice(chosen, MOST_EXACT, replace=False))
+        return belief_from(
+            self.hyperparameters, self.x[chosen], self.standardised(self.y[chosen]), MOST_EXACT
+        )
+
+    def predict(self, points: Waypoints, most: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values.
+
+        Up to `most` measurements they are exact; of more, the belief is summarised at as many points.
+        """
+        with jax.enable_x64(True):
+            mean, variance = self.belief(most).predict(points)
+            deviation = np.sqrt(np.asarray(variance))
+        return self.shift + self.scale * np.asarray(mean), self.scale * deviation
+
+
+@lru_cache(maxsize=8)
+def _prior_about(medians: tuple[float, float, float]) -> LogPrior:
+    """The prior of all missions with these medians: each function compiles `relearn` anew."""
+    return log_normal_prior(*model_of(medians), SPREAD)

@@ -1,0 +1,103 @@
+"""Files of missions, from which a process that was killed goes on."""
+
+import dataclasses
+import json
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bojax.areas.area import Area
+from bojax.results.store import write_arrays
+from bojax.surveys.given import positions
+from bojax.surveys.goals import Goal
+from bojax.surveys.measurements import Measurements
+from bojax.surveys.polylines import length_of
+from bojax.surveys.robot import Robot
+from bojax.surveys.route import Route, RouteOptions
+
+if TYPE_CHECKING:
+    from bojax.surveys.mission import Mission
+
+_OF_MISSION = ("spacing", "relearn_every", "seed", "separation", "_plans")
+"""Attributes of a mission that are saved as JSON."""
+
+_OF_MEASUREMENTS = ("hyperparameters", "medians", "shift", "scale", "learned_at", "expected")
+"""Those of its measurements; but for the first, their names in a file begin with an underscore."""
+
+
+def write_mission(mission: "Mission", path: Path) -> None:
+    """Write a mission to a file, which is replaced at once or not at all."""
+    plain: dict[str, Any] = {name: getattr(mission, name) for name in _OF_MISSION}
+    plain |= {_in_file(name): getattr(mission.measured, name) for name in _OF_MEASUREMENTS}
+    plain["remaining"], plain["_time"] = zip(
+        *((robot.remaining, robot.time) for robot in mission.robots), strict=True
+    )
+    plain["counts"], plain["options"] = dict(mission.counts), dataclasses.asdict(mission.options)
+    region = () if mission.goal.region is None else mission.goal.region.outline
+    plain["goal"] = mission.goal.kind, mission.goal.threshold, len(region)
+    zones = (mission.area.outline, *mission.area.avoid)
+    plain["rings"] = [len(zone) for zone in zones]
+    rings = [ring for zone in zones for ring in zone] + list(region)
+    arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
+    arrays |= {"x": mission.measured.x, "y": mission.measured.y}
+    arrays["position"] = [robot.position for robot in mission.robots]
+    nothing = np.zeros((0, 2))
+    arrays["end"] = [robot.end for robot in mission.robots if robot.end is not None] or nothing
+    arrays |= {
+        f"route{number or ''}": nothing if robot.route is None else robot.route.waypoints
+        for number, robot in enumerate(mission.robots)
+    }
+    write_arrays(path, {"plain": np.asarray(json.dumps(plain)), **arrays})
+
+
+def read_mission(mission: "Mission", path: str | Path) -> None:
+    """Set everything in a mission that was not prepared to what a file holds.
+
+    Raises:
+        ValueError: The file is not one that `write_mission` wrote.
+        FileNotFoundError: There is no such file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+        plain = json.loads(str(data["plain"]))
+        options = plain["options"]
+        options["stretch"] = tuple(options["stretch"])
+        kind, threshold, of_region = plain.get("goal", ("map", np.nan, 0))
+        number = sum(plain["rings"]) + of_region
+        rings = iter([data[f"ring_{index}"] for index in range(number)])
+        zones = [tuple(next(rings) for _ in range(number)) for number in plain["rings"]]
+        area = Area(zones[0], tuple(zones[1:]))
+        region = Area(tuple(rings)) if of_region else None
+        remaining, times = (np.atleast_1d(plain[name]).tolist() for name in ("remaining", "_time"))
+        places = positions("position", data["position"], len(remaining))
+        ends = positions("end", data["end"], len(remaining)) if data["end"].size else [None] * len(remaining)
+        robots = [
+            Robot(at, left, to, time=time)
+            for at, left, to, time in zip(places, remaining, ends, times, strict=True)
+        ]
+        mission._prepare(area, robots, RouteOptions(**options))
+        for number, robot in enumerate(robots):
+            waypoints = data[f"route{number or ''}"]
+            if len(waypoints):
+                robot.route = Route(waypoints, length_of(waypoints), np.nan, "earlier plan", {})
+        mission.goal = Goal(kind, threshold, region)
+        mission.counts = Counter(plain["counts"])
+        for name in plain.keys() & set(_OF_MISSION):
+            setattr(mission, name, plain[name])
+        measured = mission.measured = Measurements(tuple(plain["hyperparameters"]))
+        for name in _OF_MEASUREMENTS[1:]:
+            if _in_file(name) in plain:
+                setattr(measured, name, plain[_in_file(name)])
+        measured.medians = tuple(plain["_medians"])
+        measured.restore(data["x"], data["y"])
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{path}: not a saved mission, or damaged") from error
+
+
+def _in_file(name: str) -> str:
+    return name if name == "hyperparameters" else f"_{name}"
