@@ -123,8 +123,8 @@ class Mission:
             raise ValueError(f"area: got {area!r:.60}; allowed: an Area, such as bojax.read_place(FILE).area")
         if robots not in range(1, MOST_ROBOTS + 1):
             raise ValueError(f"robots: got {robots}; allowed: 1 to {MOST_ROBOTS}")
-        separation = numbers("separation", separation, ">= 0")
-        if separation.ndim or not (np.isfinite(separation) and separation >= 0):
+        apart = numbers("separation", separation, ">= 0")
+        if apart.ndim or not (np.isfinite(apart) and apart >= 0):
             raise ValueError(f"separation: got {separation}; allowed: >= 0")
         if not (isinstance(seed, int | np.integer) and seed >= 0):
             raise ValueError(f"seed: got {seed}; allowed: an integer >= 0")
@@ -137,7 +137,7 @@ class Mission:
         if budget > (most := MOST_LINES * self._size):
             longest = f"{most:g} m, that of {MOST_LINES:,} lines across the area"
             raise ValueError(f"budget: got {budget:g} m; allowed: at most {longest}")
-        self.separation, self.seed = float(separation), seed
+        self.separation, self.seed = float(separation), int(seed)
         self.spacing = above_zero("spacing", spacing, "m")
         lengthscale = self._size / 6.0 if lengthscale is None else above_zero("lengthscale", lengthscale, "m")
         # Plans of a team take too long with room for all that it will measure.

@@ -274,7 +274,7 @@ def test_a_damaged_file_is_one_line(tmp_path):
         ({"start": "1,1"}, "start: not an array of numbers; allowed: x and y in metres"),
         ({"end": [[1.0, 1.0], [2.0]]}, "end: not an array of numbers; allowed: x and y in metres"),
         ({"separation": "far"}, "separation: not an array of numbers; allowed: >= 0"),
-        ({"separation": [1.0, 2.0]}, r"separation: got \[1. 2.\]; allowed: >= 0"),
+        ({"separation": [1.0, 2.0]}, r"separation: got \[1.0, 2.0\]; allowed: >= 0"),
         ({"seed": "a"}, "seed: got a; allowed: an integer >= 0"),
         ({"seed": -1}, "seed: got -1; allowed: an integer >= 0"),
         ({"options": {"steps": 5}}, "options: got {'steps': 5}; allowed: RouteOptions"),
