@@ -1,5 +1,7 @@
 """Areas, and the distance to their border."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -68,13 +70,18 @@ def test_a_grid_has_the_size_of_the_area() -> None:
     assert len(points) * 0.01 == pytest.approx(96.0, rel=0.01)
 
 
+def given(wrong: Any) -> Any:
+    """Something of another type than is asked for."""
+    return wrong
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: Area(()), "has no outline"),
         (lambda: Area((np.eye(2),)), "2 corners"),
-        (lambda: Area((["here", "there", "nowhere"],)), "area: a ring is not an array of numbers"),
-        (lambda: Area(np.eye(3)), r"area: got a ring of shape \(3,\); allowed: rows of x and y"),
+        (lambda: Area((given(["here", "there", "nowhere"]),)), "area: a ring is not an array of numbers"),
+        (lambda: Area(given(np.eye(3))), r"area: got a ring of shape \(3,\); allowed: rows of x and y"),
         (lambda: Area((np.array([[0.0, 0.0], [1.0, np.nan], [1.0, 1.0]]),)), "not finite"),
         (lambda: Area.rectangle(0.0, 0.0, 0.0, 1.0), "allowed: > 0"),
         (lambda: SQUARE.grid(0.0), "spacing"),
