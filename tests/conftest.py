@@ -43,6 +43,8 @@ CHECKED = (
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
 
 from bojax.cli.main import YOUNG_OBJECTS, main  # noqa: E402
+from bojax.config.errors import MAX_MESSAGE  # noqa: E402
+from tests.parts import FILES  # noqa: E402
 
 gc.set_threshold(YOUNG_OBJECTS)
 
@@ -74,10 +76,18 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def data_files(here):
+    """The data files of the parts that need some, in an empty working directory."""
+    for name, text in FILES.items():
+        (here / name).write_text(text)
+
+
+@pytest.fixture
 def refusal(capsys):
     """A function that runs a command which must refuse its input, and returns the message of the error.
 
-    Its line is all that is printed, and the files in the working directory stay as they are.
+    Its line, short and without control characters, is all that is printed, and the files in the working
+    directory stay as they are.
     """
 
     def files() -> list[Path]:
@@ -89,7 +99,9 @@ def refusal(capsys):
         assert main(shlex.split(command)) == code, command
         out, err = capsys.readouterr()
         assert (out, err.count("\n"), files()) == ("", 1, before) and err.startswith("error: "), err
-        return err.removeprefix("error: ").rstrip("\n")
+        line = err.removesuffix("\n")
+        assert line.isprintable() and len(line) <= MAX_MESSAGE
+        return line.removeprefix("error: ")
 
     return run
 

@@ -7,7 +7,7 @@ import bojax
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import import_target
 from bojax.fields.base import Field
-from tests.parts import FILES, REQUIRED
+from tests.parts import REQUIRED
 from tests.refusals import assert_refused
 
 
@@ -16,9 +16,7 @@ class Slope(Field):
         return x[0]
 
 
-def test_every_part_is_built_with_its_defaults(here):
-    for name, text in FILES.items():
-        (here / name).write_text(text)
+def test_every_part_is_built_with_its_defaults(data_files):
     for role in roles():
         for kind, schema in kinds(role).items():
             part = bojax.part(kind, role=role, **REQUIRED.get(kind, {}))

@@ -11,12 +11,10 @@ from bojax.experiments.settings import Planning
 from bojax.models.settings import Matern52
 from bojax.motions.settings import ContinuousMotions, KernelTrajectories, Splines
 from bojax.planning.settings import KCBTS, SBO
-from tests.parts import FILES, REQUIRED
+from tests.parts import REQUIRED
 
 
-def test_dumping_and_reading_back_gives_the_same(write):
-    for name, text in FILES.items():
-        write(name, text)
+def test_dumping_and_reading_back_gives_the_same(data_files):
     for role in catalog.roles():
         for kind, schema in catalog.kinds(role).items():
             part = schema(**REQUIRED.get(kind, {}))

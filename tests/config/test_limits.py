@@ -17,7 +17,6 @@ from bojax.fields.data import read_array
 from bojax.report.comparing.curve_files import read_curves
 from bojax.robots.models import from_file
 from tests.drawn import drawn_experiment
-from tests.parts import FILES
 
 
 def refusal(load, *words, **options) -> str:
@@ -38,9 +37,7 @@ def test_more_memory_allows_more():
     small.check(10, "x.yaml: things")
 
 
-def test_integers_of_all_schemas_have_a_limit(here, write):
-    for name, text in FILES.items():
-        (here / name).write_text(text)
+def test_integers_of_all_schemas_have_a_limit(data_files, write):
     settings = set()
     for seed in range(60):
         experiment = drawn_experiment(random.Random(seed))

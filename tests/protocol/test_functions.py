@@ -2,11 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 from bojax.engine.build import build
 from bojax.motions.base import ContinuousMotions
 from tests.parts import tiny
 from tests.protocol.lanes import each_kind, of_one
+
+pytestmark = pytest.mark.usefixtures("data_files")
 
 POINTS = jnp.asarray([[0.2, 0.3], [0.7, 0.4], [0.5, 0.9]])
 

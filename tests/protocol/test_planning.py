@@ -11,6 +11,8 @@ from bojax.problems.pomdp.settings import StateProblemSettings
 from tests.parts import tiny
 from tests.protocol.lanes import each_kind, of_experiment
 
+pytestmark = pytest.mark.usefixtures("data_files")
+
 # No curve of these paths is tighter than a robot can drive.
 PATHS = {"kind": "kernel", "first_angle": 0.785, "turn_angle": 1.257, "num_samples": 3}
 
