@@ -37,6 +37,7 @@ def test_the_parking_spot_is_drawn_for_every_vehicle(vehicle):
     problem = Parking(half_width=2.0, distance_tolerance=0.3)
     model = VEHICLES[vehicle](problem.outline, None).compiled()
     np.testing.assert_allclose(model.geom("floor").size[:2], 2.0)
+    assert model.camera("overview") is not None
     assert model.geom("goal_0").size[0] == pytest.approx(0.3)
     assert not model.geom("goal_0").contype and not model.geom("goal_0_heading").contype
     np.testing.assert_allclose(model.geom("goal_0_heading").pos, [1.73 * 0.3, 0.0, 0.0])
@@ -50,6 +51,13 @@ def test_a_problem_of_ones_own_without_a_domain_is_drawn_too(vehicle):
     np.testing.assert_allclose(model.geom("goal_0").pos, [0.5, 0.0, 0.0])
     (disc,) = [geom for geom in map(model.geom, range(model.ngeom)) if np.allclose(geom.pos[:2], [1.0, 2.0])]
     assert disc.size[0] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_the_floor_is_the_domain(vehicle):
+    model = VEHICLES[vehicle](Outline(border=(0.0, 1.0, 6.0, 5.0)), None).compiled()
+    np.testing.assert_allclose(model.geom("floor").pos, [3.0, 3.0, 0.0])
+    np.testing.assert_allclose(model.geom("floor").size[:2], [3.0, 2.0])
 
 
 def test_the_camera_goes_along_with_the_wheeled_robot():

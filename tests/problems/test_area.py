@@ -2,24 +2,24 @@
 
 import json
 import re
+import shlex
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 shapely = pytest.importorskip("shapely")
 
 from bojax.areas.area import Area  # noqa: E402
 from bojax.areas.outlined import OutlinedArea  # noqa: E402
-from bojax.cli.main import main  # noqa: E402
 from bojax.engine.build import build  # noqa: E402
 from bojax.fields.raster_files import local_extent, read_raster  # noqa: E402
 from bojax.motions.base import place  # noqa: E402
 from bojax.problems.settings import Monitoring  # noqa: E402
 from tests.planning.samples import f64, monitoring  # noqa: E402
 from tests.problems.test_monitoring import SIZE, drives  # noqa: E402
+from tests.runs import run, tables  # noqa: E402
 
 OUTER = [[0.0, 0.0], [3.0, 0.0], [3.0, 1.5], [2.0, 2.4], [0.0, 2.0], [0.0, 0.0]]
 HOLE = [[1.0, 0.7], [1.6, 0.6], [1.7, 1.3], [1.0, 0.7]]
@@ -118,12 +118,10 @@ def settings_of(files, **more):
 
 
 def test_runs_stay_in_the_area_and_end_at_the_point(files, tmp_path):
-    out = tmp_path / "out"
     words = settings_of(files, budget="7", end="[2.8, 0.2]", max_steps="40", domain="[0,0,3,2.4]")
-    assert (
-        main(["run", "space-modelling", "problem=monitoring", *words, "--runs", "3", "--out", str(out)]) == 0
-    )
-    runs, steps = (pq.read_table(out / f"{name}.parquet").to_pydict() for name in ("runs", "steps"))
+    words = ["space-modelling", "problem=monitoring", *words, "--runs", "3"]
+    out = run(tmp_path / "out", *words, has_report=True)
+    runs, steps = tables(out)
     assert runs["success"] == [True] * 3 and max(steps["distance"]) <= 7.0 + 1e-9
     cell = 3.0 / 400
     for file in sorted((out / "arrays").glob("*paths*.npz")):
@@ -196,23 +194,6 @@ def test_an_area_is_in_the_metres_of_the_field(tmp_path):
         ({"area.sha256": "ab"}, "has changed"),
     ],
 )
-def test_wrong_areas_are_refused_in_one_line(files, tmp_path, settings, message, capsys):
-    out = tmp_path / "out"
-    assert (
-        main(
-            [
-                "run",
-                "space-modelling",
-                "problem=monitoring",
-                *settings_of(files, **settings),
-                "--runs",
-                "1",
-                "--out",
-                str(out),
-            ]
-        )
-        == 2
-    )
-    printed = capsys.readouterr().err
-    assert re.search(message, printed) and len(printed.strip().splitlines()) == 1, printed
-    assert not out.exists()
+def test_wrong_areas_are_refused_in_one_line(files, refusal, here, settings, message):
+    words = ["space-modelling", "problem=monitoring", *settings_of(files, **settings), "--runs", "1"]
+    assert re.search(message, refusal(shlex.join(["run", *words])))

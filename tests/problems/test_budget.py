@@ -5,16 +5,15 @@ import json
 
 import jax
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from bojax.cli.main import main
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
 from bojax.motions.base import place
 from bojax.problems.settings import Monitoring
 from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
 from tests.problems.test_monitoring import SIZE, WALLED, drives
+from tests.runs import run, tables
 
 BUDGET = 1.1
 LIMITED = monitoring(walls=None, target_area=None, budget=f64(BUDGET), errors_by_step=True)
@@ -33,17 +32,16 @@ def reference_within(start, poses, is_driven, left):
     return number, left
 
 
+@jax.jit
+def cut(start, path, left):
+    drive = WALLED.arena.drive(start, path)
+    return drive, *drive.within(start, left)
+
+
 @pytest.mark.parametrize("left", [0.0, 0.2, 0.55, 3.0])
 def test_a_drive_is_cut_where_the_distance_ends(left):
-    starts, paths = drives(100, seed=5)
-
-    @jax.jit
-    def cut(start, path):
-        drive = WALLED.arena.drive(start, path)
-        return drive, *drive.within(start, f64(left))
-
-    for start, path in zip(starts, paths, strict=True):
-        whole, part, rest = jax.tree.map(np.asarray, cut(f64(start), f64(path)))
+    for start, path in zip(*drives(100, seed=5), strict=True):
+        whole, part, rest = jax.tree.map(np.asarray, cut(start, path, np.asarray(left)))
         number, expected = reference_within(start, whole.poses, whole.is_driven, left)
         np.testing.assert_array_equal(part.is_driven, np.arange(SIZE) < number)
         np.testing.assert_allclose(rest, expected, atol=1e-9)
@@ -53,31 +51,44 @@ def test_a_drive_is_cut_where_the_distance_ends(left):
         assert (part.collided, part.exited) == ((False, False) if is_cut else (whole.collided, whole.exited))
 
 
-def test_a_simulation_ends_where_the_world_does():
-    pose = (1.5, 1.2, 0.3)
-    world = dataclasses.replace(LIMITED, start=f64(pose), noise=f64(0.0)).reset(jax.random.key(0))
-    belief = field_belief(LIMITED, pose, 5)
-    _, paths = drives(3, seed=2)
-    root, node = LIMITED.root(belief, 3)
-    simulate = jax.jit(lambda key, node: LIMITED.simulate(key, root, node, f64(paths), OBJECTIVES["value"]))
-    found = simulate(jax.random.key(1), node)
-    execute = jax.jit(type(LIMITED).execute)
-    terminated, lefts, taken = [], [], []
+START = (1.5, 1.2, 0.3)
+
+
+def simulated_and_driven(problem, num_paths):
+    """A simulation of paths from `START` as a function of what is left, and their drives, without noise.
+
+    Both end at the same path, which is the last one but not the first, with the same distance left.
+    """
+    root, node = problem.root(field_belief(problem, START, 5), num_paths)
+    _, paths = drives(num_paths, seed=2)
+
+    @jax.jit
+    def simulate(left):
+        own = dataclasses.replace(node, left=left)
+        return problem.simulate(jax.random.key(1), root, own, f64(paths), OBJECTIVES["value"])
+
+    world = dataclasses.replace(problem, start=f64(START), noise=f64(0.0)).reset(jax.random.key(0))
+    execute, driven = jax.jit(type(problem).execute), []
     for path in paths:
-        world, samples, events = execute(LIMITED, jax.random.key(2), world, f64(path))
-        terminated.append(bool(events.terminated))
-        lefts.append(float(world.left))
-        taken.append(int(samples.is_taken.sum()))
-    assert terminated == found.terminated.tolist() and terminated[-1] and not terminated[0]
-    np.testing.assert_allclose(found.node.left, lefts[0], atol=1e-9)
-    assert world.distance <= BUDGET + 1e-9 and lefts[-1] == 0.0
+        driven.append(execute(problem, jax.random.key(2), world, f64(path)))
+        world = driven[-1][0]
+    found = simulate(node.left)
+    np.testing.assert_array_equal(found.terminated, [events.terminated for _, _, events in driven])
+    assert found.terminated[-1] and not found.terminated[0]
+    np.testing.assert_allclose(found.node.left, driven[0][0].left, atol=1e-9)
+    return found, simulate, driven
+
+
+def test_a_simulation_ends_where_the_world_does():
+    found, simulate, driven = simulated_and_driven(LIMITED, 3)
+    world, _, _ = driven[-1]
+    assert world.distance <= BUDGET + 1e-9 and world.left == 0.0
     # What lies beyond the budget is not paid, as it is with a larger one.
-    is_beyond = np.array(taken) == 0
+    is_beyond = np.array([not samples.is_taken.any() for _, samples, _ in driven])
     assert is_beyond.any()
     np.testing.assert_array_equal(np.asarray(found.rewards)[is_beyond], 0.0)
-    wide = dataclasses.replace(node, left=f64(100.0))
-    assert not simulate(jax.random.key(1), wide).terminated.any()
-    assert np.abs(np.asarray(simulate(jax.random.key(1), wide).rewards)[is_beyond]).min() > 0.0
+    wide = simulate(f64(100.0))
+    assert not wide.terminated.any() and np.abs(np.asarray(wide.rewards)[is_beyond]).min() > 0.0
 
 
 def test_without_a_budget_nothing_is_measured():
@@ -94,11 +105,10 @@ def test_a_run_ends_with_its_budget_and_its_steps_have_the_errors(tmp_path):
         "experiment: planning\nproblem: {kind: monitoring, budget: 3.3, errors_by_step: true, resolution: 9, "
         "max_steps: 30}\nplanner: {kind: random}\nruns: 3\n"
     )
-    out = tmp_path / "out"
-    assert main(["run", str(config), "--out", str(out)]) == 0
-    runs, steps = (pq.read_table(out / f"{name}.parquet").to_pydict() for name in ("runs", "steps"))
-    for run, rmse, number in zip(runs["run"], runs["rmse"], runs["steps"], strict=True):
-        own = [index for index, each in enumerate(steps["run"]) if each == run]
+    out = run(tmp_path / "out", str(config), has_report=True)
+    runs, steps = tables(out)
+    for own_run, rmse, number in zip(runs["run"], runs["rmse"], runs["steps"], strict=True):
+        own = [index for index, each in enumerate(steps["run"]) if each == own_run]
         distance = [steps["distance"][index] for index in own]
         assert len(own) == number and np.all(np.diff(distance) >= 0.0)
         assert steps["done"][own[-1]] and 2.3 <= distance[-1] <= 3.3 + 1e-9

@@ -2,16 +2,19 @@
 
 import dataclasses
 import re
+import shlex
 
 import jax
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from bojax.cli.main import main
+from bojax.engine.build import build
 from bojax.motions.polylines import points_along
-from tests.planning.samples import OBJECTIVES, f64, field_belief, monitoring
+from bojax.problems.settings import Monitoring
+from tests.planning.samples import f64, monitoring
+from tests.problems.test_budget import START, simulated_and_driven
 from tests.problems.test_monitoring import SIZE, drives
+from tests.runs import run, tables
 
 BUDGET, END = 2.4, np.array([0.4, 0.4])
 HOMING = monitoring(walls=None, target_area=None, budget=f64(BUDGET), end=f64(END))
@@ -41,16 +44,17 @@ def reference_drive(start, poses, is_driven, left):
     return np.array(points).reshape(-1, 2), left
 
 
+@jax.jit
+def cut(start, path, left):
+    arena = HOMING.arena
+    return arena.drive(start, path), *arena.drive_within(start, path, left)
+
+
 @pytest.mark.parametrize("spare", [0.0, 0.15, 0.6, 3.0])
 def test_a_drive_is_cut_where_the_end_is_just_in_reach(spare):
-    starts, paths = drives(100, seed=5)
-    arena = HOMING.arena
-    cut = jax.jit(
-        lambda start, path, left: (arena.drive(start, path), *arena.drive_within(start, path, left))
-    )
-    for start, path in zip(starts, paths, strict=True):
+    for start, path in zip(*drives(100, seed=5), strict=True):
         left = np.linalg.norm(END - start[:2]) + spare
-        whole, part, rest = jax.tree.map(np.asarray, cut(f64(start), f64(path), f64(left)))
+        whole, part, rest = jax.tree.map(np.asarray, cut(start, path, np.asarray(left)))
         points, expected = reference_drive(start, whole.poses, whole.is_driven, left)
         np.testing.assert_array_equal(part.is_driven, np.arange(SIZE) < len(points))
         np.testing.assert_allclose(part.poses[: len(points), :2], points, atol=1e-9)
@@ -58,27 +62,12 @@ def test_a_drive_is_cut_where_the_end_is_just_in_reach(spare):
 
 
 def test_simulations_and_the_world_end_at_the_point():
-    pose = (1.5, 1.2, 0.3)
-    world = dataclasses.replace(HOMING, start=f64(pose), noise=f64(0.0)).reset(jax.random.key(0))
-    belief = field_belief(HOMING, pose, 5)
-    _, paths = drives(4, seed=2)
-    root, node = HOMING.root(belief, 4)
-    found = jax.jit(lambda key, node: HOMING.simulate(key, root, node, f64(paths), OBJECTIVES["value"]))(
-        jax.random.key(1), node
-    )
-    execute, terminated, driven = jax.jit(type(HOMING).execute), [], 0.0
-    at = np.array(pose[:2])
-    for index, path in enumerate(paths):
-        world, samples, events = execute(HOMING, jax.random.key(2), world, f64(path))
-        for point in np.asarray(events.driven)[np.asarray(events.is_driven), :2]:
-            driven, at = driven + np.linalg.norm(point - at), point
-        terminated.append(bool(events.terminated))
-        assert bool(events.success) == terminated[-1]
-        if index == 0:
-            np.testing.assert_allclose(found.node.left, world.left, atol=1e-9)
-    assert terminated == found.terminated.tolist() and terminated[-1] and not terminated[0]
-    np.testing.assert_allclose(at, END, atol=1e-9)
-    assert driven <= BUDGET + 1e-9
+    _, _, driven = simulated_and_driven(HOMING, 4)
+    points = [np.asarray(events.driven)[np.asarray(events.is_driven), :2] for _, _, events in driven]
+    way = np.concatenate([[START[:2]], *points])
+    np.testing.assert_allclose(way[-1], END, atol=1e-9)
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).sum() <= BUDGET + 1e-9
+    assert all(events.success == events.terminated for _, _, events in driven)
 
 
 def test_a_robot_that_stays_drives_to_the_end():
@@ -100,16 +89,20 @@ def test_points_along_a_polyline_include_its_corners():
     np.testing.assert_allclose(points, [[0.5, 0.0], [1.05, 0.0], [1.05, 0.45], [1.05, 0.9], [1.05, 0.9]])
 
 
-@pytest.mark.parametrize("budget", ["budget: 4.3", "time_budget: 8.6, speed: 0.5"])
-def test_runs_end_at_the_point_within_the_budget(tmp_path, budget):
+def test_a_time_at_a_speed_is_a_budget():
+    ends = {"start": (3.0, 3.0, 0.0), "end": (1.0, 2.0)}
+    by_time, by_distance = Monitoring(time_budget=8.6, speed=0.5, **ends), Monitoring(budget=4.3, **ends)
+    left = [build(settings).reset(jax.random.key(0)).left for settings in (by_time, by_distance)]
+    assert left == [4.3, 4.3]
+
+
+def test_runs_end_at_the_point_within_the_budget(tmp_path):
     config = tmp_path / "survey.yaml"
     config.write_text(
-        f"experiment: planning\nproblem: {{kind: monitoring, {budget}, end: [1, 2], start: [3, 3, 0], "
-        "resolution: 9, max_steps: 30}\nplanner: {kind: random}\nruns: 3\n"
+        "experiment: planning\nproblem: {kind: monitoring, time_budget: 8.6, speed: 0.5, end: [1, 2], "
+        "start: [3, 3, 0], resolution: 9, max_steps: 30}\nplanner: {kind: random}\nruns: 3\n"
     )
-    out = tmp_path / "out"
-    assert main(["run", str(config), "--out", str(out)]) == 0
-    runs, steps = (pq.read_table(out / f"{name}.parquet").to_pydict() for name in ("runs", "steps"))
+    runs, steps = tables(run(tmp_path / "out", str(config)))
     assert runs["success"] == [True] * 3
     last = [index for index, done in enumerate(steps["done"]) if done]
     np.testing.assert_allclose([(steps["x"][index], steps["y"][index]) for index in last], [[1, 2]] * 3)
@@ -133,16 +126,10 @@ def test_runs_end_at_the_point_within_the_budget(tmp_path, budget):
         ("budget=9 end=[1,1] vehicle=wheeled-robot after_collision=stop", "end: the vehicle cannot turn"),
     ],
 )
-def test_wrong_budgets_and_ends_are_refused_in_one_line(tmp_path, settings, message, capsys):
+def test_wrong_budgets_and_ends_are_refused_in_one_line(here, refusal, settings, message):
     words = [f"problem.{each}" for each in settings.split()]
     if "walls" not in settings:
         words.append("problem.walls=null")
     if "wheeled" in settings:
         words += ["planner.motions.first_angle=0.3", "planner.motions.turn_angle=0.3"]
-    out = tmp_path / "out"
-    assert main(["run", "space-modelling", *words, "--runs", "1", "--out", str(out)]) == 2
-    printed = capsys.readouterr().err
-
-    assert re.search(message, printed) and len(printed.strip().splitlines()) == 1 and not out.exists(), (
-        printed
-    )
+    assert re.search(message, refusal(shlex.join(["run", "space-modelling", *words, "--runs", "1"])))

@@ -36,14 +36,14 @@ def test_an_episode_records_the_true_states_and_its_beliefs():
     episode = PlanningEpisode(
         Marching(num_particles=200), PolicyPlanner(lambda problem, key, belief: jnp.ones(1))
     )
-    carry, states, means = episode.init(jax.random.key(4)), [], []
-    advance = eqx.filter_jit(episode.advance)
+    carry, states, means = eqx.filter_jit(episode.init)(jax.random.key(4)), [], []
+    advance, snapshot = eqx.filter_jit(episode.advance), eqx.filter_jit(episode.snapshot)
     while not carry.is_done:
         states.append(float(carry.world[0]))
         means.append(float(carry.belief.mean[0]))
         carry, _ = advance(carry)
     states.append(float(carry.world[0]))
-    sketch = episode.snapshot(carry)["sketch"]
+    sketch = snapshot(carry)["sketch"]
     num = len(states)
     assert 1 < num < 7 and set(sketch) == {"marker", "x"}
     assert sketch["x"].shape == (6, 1 + NUM_DRAWN, 1)

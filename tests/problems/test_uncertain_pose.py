@@ -75,11 +75,15 @@ def test_the_belief_is_the_mean_of_moved_measurements():
     @jax.jit
     def run(key):
         key_prior, key = jax.random.split(key)
-        world, belief = start, model.prior(key_prior, start, 1)
-        for step in range(num_steps):
+
+        def advance(carry, step):
+            world, belief = carry
             key_world, key_filter = jax.random.split(jax.random.fold_in(key, step))
             world, observation, _ = model.execute(key_world, world, action)
-            belief = model.update(belief, action, observation, key_filter)
+            return (world, model.update(belief, action, observation, key_filter)), None
+
+        before = start, model.prior(key_prior, start, 1)
+        world, belief = jax.lax.scan(advance, before, jnp.arange(num_steps, dtype=jnp.uint32))[0]
         return belief.mean[:2] - world[:2], jnp.diagonal(belief.covariance)[:2]
 
     errors, variances = jax.vmap(run)(jax.random.split(jax.random.key(5), num_runs))

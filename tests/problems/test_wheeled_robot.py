@@ -1,5 +1,6 @@
 """The wheeled robot: its turning circle, and how it tracks paths, against C MuJoCo and a tracker in NumPy."""
 
+import re
 from functools import partial
 from math import atan, pi
 
@@ -10,15 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from bojax.cli.main import main
 from bojax.engine.build import build
-from bojax.films.robot_worlds import car_world
 from bojax.motions.base import place
 from bojax.motions.settings import KernelTrajectories
 from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
-from bojax.results.outline import Outline
 from bojax.robots.car import car_parameters
 from bojax.robots.models import packaged
 from tests.compiling import REPEATABLY
@@ -233,39 +231,9 @@ def test_it_reaches_the_end_of_every_path_within_its_reach():
         assert far > 0.1, changes
 
 
-def test_the_parking_place_can_be_drawn():
-    model = car_world(RobotParking(half_width=2.0, distance_tolerance=0.3).outline).compiled()
-    assert model.nq == MODEL.nq and model.camera("overview") is not None
-    np.testing.assert_allclose(model.geom("floor").size[:2], 2.0)
-    assert model.geom("goal_0").size[0] == pytest.approx(0.3)
-    field = car_world(Outline(border=(0.0, 1.0, 6.0, 5.0))).compiled()
-    np.testing.assert_allclose(field.geom("floor").pos, [3.0, 3.0, 0.0])
-    np.testing.assert_allclose(field.geom("floor").size[:2], [3.0, 2.0])
-
-
-@pytest.mark.parametrize(
-    ("setting", "messages"),
-    [
-        (
-            "length=1.3",
-            ["planner.motions.length: got 1.3; allowed: <= 1.16, the longest path that the robot"],
-        ),
-        ("first_angle=1.4", ["planner.motions: the tightest trajectory has a radius of", "0.10 m"]),
-    ],
-)
-def test_paths_that_it_cannot_drive_are_refused_in_one_line(setting, messages, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert main(["run", "robot-parking", f"planner.motions.{setting}", "--out", str(out)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert all(message in line for message in messages)
-    assert not out.exists()
-
-
-def test_a_plan_is_made_from_where_the_robot_takes_itself_to_be():
-    problem = build(RobotParking())
-    world = problem.reset(jax.random.key(0))
-    path = jnp.zeros((10, 3)).at[:, 0].set(jnp.linspace(0.1, 1.0, 10))
-    drive = jax.jit(lambda *inputs: problem.execute(*inputs), compiler_options=REPEATABLY)
-    after, reading, _ = drive(jax.random.key(1), world, path)
-    np.testing.assert_array_equal(reading, problem.vehicle.estimate(after))
-    assert np.linalg.norm(reading - problem.pose(after)) > 1e-3
+def test_paths_that_it_cannot_drive_are_refused_in_one_line(here, refusal):
+    for setting, message in (
+        ("length=1.3", r"\.length: got 1.3; allowed: <= 1.16, the longest path that the robot"),
+        ("first_angle=1.4", ": the tightest trajectory has a radius of .*0.10 m"),
+    ):
+        assert re.search(f"planner.motions{message}", refusal(f"run robot-parking planner.motions.{setting}"))
