@@ -1,4 +1,4 @@
-"""Small environments whose values are known by hand."""
+"""Small environments whose values are known by hand, and the exploration of an episode."""
 
 from typing import ClassVar
 
@@ -9,6 +9,12 @@ from jaxtyping import Array, Float
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
+from bojax.learning.base import ExplorationState
+
+
+def exploring(scale=1.0, is_learning=True):
+    """The exploration of an episode, by default that of training without a schedule."""
+    return ExplorationState(jnp.asarray(scale, jnp.float64), jnp.asarray(is_learning))
 
 
 class Bandit(TabularEnv):

@@ -9,20 +9,17 @@ import pytest
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.actions import grid_actions, nearest_action
-from bojax.learning.base import Episode, ExplorationState, Transition
+from bojax.learning.base import Episode, Transition
 from bojax.learning.dora import E, Q, log_softplus
 from bojax.learning.settings import DORA as Settings
 from bojax.learning.tile_coding import TileTable, tiles, tuple_hash
+from tests.learning.probes import exploring
 from tests.reference import dora as reference
 from tests.tiers import by_tier
 
 OBSERVATIONS = Box(jnp.asarray([-1.2, -0.07]), jnp.asarray([0.6, 0.07]))
 ACTIONS = Box(jnp.asarray([-1.0]), jnp.asarray([1.0]))
 NUM_ACTIONS = 3
-
-
-def exploring(scale=1.0, is_learning=True):
-    return ExplorationState(jnp.asarray(scale, jnp.float64), jnp.asarray(is_learning))
 
 
 def walk(num=2000, seed=0):

@@ -1,5 +1,7 @@
 """EMU-Q: Algorithm 6 and the author's code in NumPy, the direct refit, and what the settings mean."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,18 +11,19 @@ import pytest
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning import refit_equations, refit_rows
-from bojax.learning.base import Episode, ExplorationState, Transition
+from bojax.learning.base import Episode, Transition
 from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
 from bojax.numerics.lanes import LANES
 from bojax.numerics.linalg import solve_large
 from bojax.numerics.stragglers import LEAST
+from tests.learning.probes import exploring
 from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode, StoredRewards
 from tests.tiers import by_tier
 
 NUM_STEPS = 40
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 2.0]))
 ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([3.0]))
-EXPLORING = ExplorationState(jnp.asarray(1.0), jnp.asarray(True))
+EXPLORING = exploring()
 REFIT_SEED = 9
 
 
@@ -43,13 +46,22 @@ def make(schema=EMUQ, **settings):
     kind = "phase" if schema is EMUQPublished else "cos-sin"
     settings = {"draw_actions": "once", "num_actions": 5, "num_samples": 4, "block": 8, **settings}
     learner = build(schema(features=RandomFourierFeatures(**{"form": kind, **features}), **settings))
-    return learner, eqx.filter_jit(learner.init)(jax.random.key(1), OBSERVATIONS, ACTIONS, 4 * NUM_STEPS)
+    init = eqx.filter_jit(online(learner).init)
+    return learner, init(jax.random.key(1), OBSERVATIONS, ACTIONS, 4 * NUM_STEPS)
+
+
+def online(learner):
+    """The learner until an episode ends: learners that differ in their refits alone share its programs."""
+    return dataclasses.replace(learner, refit="sweeps", max_sweeps=1, refit_block=1)
+
+
+def observe_all(learner, state, steps: Transition, exploration):
+    """The state after an episode's steps, before its end."""
+    return _observe_all(online(learner), state, steps, exploration)
 
 
 @eqx.filter_jit
-def observe_all(learner, state, steps: Transition, exploration):
-    """The state after an episode's steps, before its end."""
-
+def _observe_all(learner, state, steps, exploration):
     def one(i, state):
         step = jax.tree.map(lambda x: x[i], steps)
         state = learner.observe(
@@ -86,8 +98,12 @@ def follow(reference, steps: Transition, after_step=None):
 
 
 def numpy_features(state):
-    phi = eqx.filter_jit(lambda states, actions: jax.vmap(state.features)(states, actions))
-    return lambda states, actions: np.asarray(phi(jnp.asarray(states), jnp.asarray(actions)))
+    return lambda states, actions: np.asarray(_phi(state.features, states, actions))
+
+
+@eqx.filter_jit
+def _phi(features, states, actions):
+    return jax.vmap(features)(states, actions)
 
 
 def reference_of(cls, learner, state, **settings):
@@ -336,9 +352,7 @@ def test_blocks_of_a_refit_do_not_matter_nor_whether_features_are_stored_or_reco
 def test_without_learning_nothing_changes(schema):
     learner, state = make(schema, refit_rewards="stored")
     _, state = learn(learner, state, transitions())
-    online, after = learn(
-        learner, state, transitions(1), ExplorationState(jnp.asarray(1.0), jnp.asarray(False))
-    )
+    online, after = learn(learner, state, transitions(1), exploring(is_learning=False))
     for before, now in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(before, now)
     assert int(online.memory.count) == NUM_STEPS

@@ -8,8 +8,9 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning.base import Episode, ExplorationState, Transition
+from bojax.learning.base import Episode, Transition
 from bojax.learning.settings import RND, BootstrappedQ
+from tests.learning.probes import exploring
 from tests.reference import q_networks as reference
 
 OBSERVATIONS = Box(jnp.asarray([-1.0, 0.0]), jnp.asarray([3.0, 2.0]))
@@ -17,10 +18,6 @@ ACTIONS = Box(jnp.asarray([-1.0]), jnp.asarray([1.0]))
 METHODS = [BootstrappedQ, RND]
 SMALL = {"width": 6, "batch_size": 5, "train_every": 3}
 NUM_STEPS = 30
-
-
-def exploring(scale=1.0, is_learning=True):
-    return ExplorationState(jnp.asarray(scale, jnp.float64), jnp.asarray(is_learning))
 
 
 def make(schema, **settings):

@@ -8,13 +8,13 @@ from scipy import stats
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning.base import ExplorationState
 from bojax.learning.settings import RandomActions
+from tests.learning.probes import exploring
 
 
 @pytest.mark.parametrize("scale", [0.0, 1.0])
 def test_actions_are_uniform(scale):
-    exploration = ExplorationState(jnp.asarray(scale), jnp.asarray(False))
+    exploration = exploring(scale, is_learning=False)
     learner = build(RandomActions())
 
     def drawn(space):

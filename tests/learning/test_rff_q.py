@@ -9,18 +9,17 @@ from scipy import stats
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning.base import ExplorationState
 from bojax.learning.settings import RFFQ, OneHot, RandomFourierFeatures
+from tests.learning.probes import exploring
 
 DRAWS = 4000
-ON = ExplorationState(jnp.ones(()), jnp.ones((), bool))
 
 
 @eqx.filter_jit
 def acted(learner, state, observation):
     """Actions under many keys, the returns expected of them, and their Q."""
     keys = jax.random.split(jax.random.key(1), DRAWS)
-    action, expected = jax.vmap(lambda key: learner.act(key, state, observation, ON))(keys)
+    action, expected = jax.vmap(lambda key: learner.act(key, state, observation, exploring()))(keys)
     return action, expected, jax.vmap(lambda a: learner.values(state, observation, a)[0])(action)
 
 

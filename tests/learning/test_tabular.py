@@ -14,15 +14,11 @@ from bojax.experiments.settings import Learning
 from bojax.learning.base import ExplorationState, Transition
 from bojax.learning.settings import AdditiveRewards, EpsilonGreedy, ExplorationValues
 from tests.envs.tables import part, tables
-from tests.learning.probes import Loop
+from tests.learning.probes import Loop, exploring
 from tests.reference.tabular import QLearning, value_iteration
 
 LEARNERS = [ExplorationValues, AdditiveRewards, EpsilonGreedy]
 NUM_STATES, NUM_ACTIONS = 6, 3
-
-
-def exploring(scale=1.0, is_learning=True, dtype=jnp.float64):
-    return ExplorationState(jnp.asarray(scale, dtype), jnp.asarray(is_learning))
 
 
 def fresh(learner, num_states=NUM_STATES, num_actions=NUM_ACTIONS):

@@ -8,10 +8,11 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box
-from bojax.learning.base import Episode, ExplorationState, Transition
+from bojax.learning.base import Episode, Transition
 from bojax.learning.settings import VIME
 from bojax.learning.trpo import TRPO, Samples
 from bojax.numerics.lanes import LANES
+from tests.learning.probes import exploring
 from tests.reference import vime as reference
 from tests.reference.q_networks import Adam
 from tests.tiers import by_tier
@@ -19,7 +20,7 @@ from tests.tiers import by_tier
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 4.0]))
 ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([1.0]))
 MOST_STEPS = 9
-EXPLORING = ExplorationState(jnp.asarray(1.0), jnp.asarray(True))
+EXPLORING = exploring()
 SMALL = {
     "iteration_steps": 10,
     "longest_episode": MOST_STEPS,
@@ -244,7 +245,7 @@ def test_a_long_episode_is_cut_and_a_short_batch_waits():
 def test_without_learning_nothing_changes():
     learner, state = make()
     *_, state = learn(learner, state, (4, 7, 3))
-    after = learn(learner, state, (9, 9), ExplorationState(jnp.asarray(1.0), jnp.asarray(False)))[-1]
+    after = learn(learner, state, (9, 9), exploring(is_learning=False))[-1]
     for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(a, b)
 
@@ -279,7 +280,7 @@ def test_a_test_takes_the_most_probable_action():
     observation = jnp.asarray([0.3, 1.0])
     act = jax.jit(jax.vmap(lambda key, e: learner.act(key, state, observation, e)[0], in_axes=(0, None)))
     keys = jax.random.split(jax.random.key(0), (2, 2000))
-    testing = ExplorationState(jnp.asarray(0.0), jnp.asarray(False))
+    testing = exploring(0.0, is_learning=False)
     policy = eqx.filter_jit(state.policy)
     mean = np.asarray(policy(jnp.asarray(scaled(OBSERVATIONS, observation))).mean)
     expected = -1.0 + 2.0 * mean  # of the action space
