@@ -12,20 +12,15 @@ from jaxtyping import Array, Float, Int
 from scipy import stats
 
 from bojax.acquisition.bayesian_optimisation import NOISE_SPREAD_BELOW, BayesianOptimisation
-from bojax.acquisition.functions import LogExpectedImprovement, ProbabilityOfImprovement, UpperConfidenceBound
+from bojax.acquisition.functions import LogExpectedImprovement, UpperConfidenceBound
 from bojax.models.kernels import RBF, Matern52
 from bojax.numerics.quasirandom import shifted_kronecker
+from tests.acquisition.cases import ACQUISITIONS, each_acquisition
 from tests.reference import bayesian_optimisation as reference
 from tests.reference.bridge import reference_acquisition, reference_kernel
 from tests.refusals import assert_refused, without_annotation_checks
 from tests.tiers import by_tier
 
-ACQUISITIONS = {
-    "ucb": UpperConfidenceBound(jnp.asarray(2.0)),
-    "pi": ProbabilityOfImprovement(jnp.asarray(0.01)),
-    "log-ei": LogExpectedImprovement(jnp.asarray(0.01)),
-}
-each_acquisition = pytest.mark.parametrize("acquisition", ACQUISITIONS.values(), ids=list(ACQUISITIONS))
 each_search = pytest.mark.parametrize("name", by_tier(ACQUISITIONS, normal=["ucb"]))
 """Long searches by one acquisition function; those by the others are slow."""
 

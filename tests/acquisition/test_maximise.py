@@ -7,18 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.acquisition.functions import LogExpectedImprovement, ProbabilityOfImprovement, UpperConfidenceBound
+from bojax.acquisition.functions import UpperConfidenceBound
 from bojax.acquisition.maximise import best_candidate, first_maximum, refine
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern12
-
-ACQUISITIONS = [
-    UpperConfidenceBound(jnp.asarray(2.0)),
-    ProbabilityOfImprovement(jnp.asarray(0.01)),
-    LogExpectedImprovement(jnp.asarray(0.01)),
-]
-each_acquisition = pytest.mark.parametrize("acquisition", ACQUISITIONS, ids=lambda a: type(a).__name__)
-
+from tests.acquisition.cases import ACQUISITIONS, each_acquisition
 
 CAPACITY = 8
 NUM_STEPS = 40
@@ -104,14 +97,15 @@ def test_the_whitened_candidates_give_the_update_and_grow_by_a_row():
 
 
 @pytest.mark.parametrize(
-    "acquisition, kernel",
+    "name, kernel",
     [
-        (ACQUISITIONS[0], RBF(jnp.asarray(0.5))),
-        (ACQUISITIONS[1], Matern12(jnp.asarray(0.7))),
-        (ACQUISITIONS[2], RBF(jnp.asarray([0.2, 2.0]))),
+        ("ucb", RBF(jnp.asarray(0.5))),
+        ("pi", Matern12(jnp.asarray(0.7))),
+        ("log-ei", RBF(jnp.asarray([0.2, 2.0]))),
     ],
 )
-def test_a_refined_point_is_in_the_box_and_never_worse_than_its_start(acquisition, kernel):
+def test_a_refined_point_is_in_the_box_and_never_worse_than_its_start(name, kernel):
+    acquisition = ACQUISITIONS[name]
     gp = random_posterior(3, kernel)
     best = jnp.max(gp.y)
     corners = jnp.asarray([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
@@ -143,5 +137,5 @@ def test_refinement_climbs_to_a_border_and_stays():
 
 def test_where_the_posterior_is_flat_nothing_moves():
     starts = random_points()
-    ends = refined(ACQUISITIONS[0], posterior([], []), jnp.asarray(0.0), starts)
+    ends = refined(ACQUISITIONS["ucb"], posterior([], []), jnp.asarray(0.0), starts)
     np.testing.assert_array_equal(ends, starts)

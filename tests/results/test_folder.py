@@ -44,32 +44,25 @@ def test_names_longer_than_the_file_system_allows(tmp_path, parts, resume):
         read_manifest(path)
 
 
-def test_an_empty_folder_is_used(tmp_path):
+def test_an_empty_folder_is_used_and_one_with_other_content_is_refused(tmp_path):
     assert choose_folder("parking", tmp_path, resume=False) == (tmp_path, False)
     assert choose_folder("parking", tmp_path / "new", resume=True) == (tmp_path / "new", False)
-
-
-@pytest.mark.parametrize("resume", [False, True])
-def test_a_folder_with_other_content_is_refused(tmp_path, resume):
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(ResultsError, match="not empty") as error:
-        choose_folder("parking", tmp_path, resume=resume)
-    assert error.value.exit_code == 2
+    for resume in (False, True):
+        with pytest.raises(ResultsError, match="not empty") as error:
+            choose_folder("parking", tmp_path, resume=resume)
+        assert error.value.exit_code == 2
+    with pytest.raises(ResultsError, match="not a folder"):
+        choose_folder("parking", tmp_path / "thesis.tex", resume=False)
 
 
-@pytest.mark.parametrize("below", ["more", "arrays/more"])
-def test_a_folder_in_the_results_of_another_sweep_is_refused(tmp_path, below):
+def test_a_folder_in_the_results_of_another_sweep_is_refused(tmp_path):
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / MANIFEST).write_text("{}")
-    with pytest.raises(ResultsError, match="lies in the results of another sweep, .*; give another --out"):
-        choose_folder("parking", tmp_path / "results" / below, resume=False)
+    for below in ("more", "arrays/more"):
+        with pytest.raises(ResultsError, match="in the results of another sweep, .*; give another --out"):
+            choose_folder("parking", tmp_path / "results" / below, resume=False)
     assert choose_folder("parking", tmp_path / "more", resume=False) == (tmp_path / "more", False)
-
-
-def test_a_file_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ResultsError, match="not a folder"):
-        choose_folder("parking", tmp_path / "file", resume=False)
 
 
 def test_life_of_a_folder(tmp_path):
