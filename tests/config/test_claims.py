@@ -101,9 +101,9 @@ def test_what_makes_no_sense_is_refused():
             validated(parse(test, "refused"))
 
 
-def explained(*explanations):
+def explained(*explanations, column="success"):
     """A sweep with the claim `a`, its report with explanations."""
-    test = {"kind": "share", "label": "kcbts", "column": "success", "above": 0.5}
+    test = {"kind": "share", "label": "kcbts", "column": column, "above": 0.5}
     claim = {"id": "a", "source": "s", "claim": "c", "test": test}
     given = [{"text": "Because.", "cause": "slip", **each} for each in explanations]
     return load_sweep({"base": "parking", "claims": [claim], "report": {"explanations": given}})

@@ -13,6 +13,7 @@ from bojax.config.sweep import Sweep, load_sweep
 from bojax.config.sweep_checks import check_reference
 from bojax.engine.build import build
 from bojax.results.schema import column_names
+from tests.config.test_claims import explained
 
 
 @dataclass
@@ -109,10 +110,7 @@ def check_columns(sweep: Sweep) -> None:
 
 def made_up(text: str, column: str = "success") -> Sweep:
     """A sweep with one claim, explained by a text."""
-    test = {"kind": "share", "label": "kcbts", "column": column, "above": 0.5}
-    claim = {"id": "a", "source": "s", "claim": "c", "test": test}
-    why = {"claims": ["a"], "cause": "unexplained", "text": text}
-    return load_sweep({"base": "parking", "claims": [claim], "report": {"explanations": [why]}})
+    return explained({"claims": ["a"], "cause": "unexplained", "text": text}, column=column)
 
 
 def test_columns_and_points_that_cannot_exist_are_found():
