@@ -402,20 +402,14 @@ def test_a_target_is_reached_once_all_tests_of_a_round_exceed_it():
         assert summary["return_after_target"] == pytest.approx(after.mean(), nan_ok=not after.size)
 
 
-def test_a_return_equal_to_the_target_does_not_exceed_it():
-    for target, reached in ((4.0, False), (3.9, True)):
-        run = run_of(corridor(cells=5), learner="epsilon-greedy", episodes=2, tests=2, target_return=target)
-        assert History(run, lanes=1).summary()["reached"] == reached
-
-
-def test_a_run_can_stop_at_its_target():
-    run = run_of(
-        corridor(cells=5), learner="epsilon-greedy", episodes=4, tests=2, target_return=3.0, stop="target"
-    )
-    history = History(run, lanes=2)
-    assert history.summary()["episodes"] == 1
-    assert history.rows()["episode"].tolist() == [1, 1, 1]
-    assert history.active_steps[:, 0].tolist() == [12, 0, 0, 0]
+def test_a_run_can_stop_at_its_target_which_a_return_equal_to_it_does_not_exceed():
+    settings = {"learner": "epsilon-greedy", "episodes": 4, "tests": 2, "stop": "target"}
+    for target, episodes in ((4.0, 4), (3.9, 1), (3.0, 1)):
+        history = History(run_of(corridor(cells=5), target_return=target, **settings), lanes=2)
+        summary = history.summary()
+        assert (summary["reached"], summary["episodes"]) == (target < 4.0, episodes)
+        assert history.rows()["episode"].tolist() == np.repeat(np.arange(episodes) + 1, 3).tolist()
+        assert history.active_steps[:, 0].tolist() == [12] * episodes + [0] * (4 - episodes)
 
 
 def test_a_run_can_stop_at_its_first_success():

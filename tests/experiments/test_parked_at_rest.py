@@ -1,5 +1,6 @@
 """Success in parking is that of the true pose at rest, which steps, paths, frames and films end with."""
 
+from functools import partial
 from math import hypot, sin
 
 import jax
@@ -7,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.cli.main import main
 from bojax.engine.build import build
 from bojax.films.planning import PlanningFilm
 from bojax.films.recorded import choose_drive
@@ -17,6 +17,7 @@ from bojax.report.source import Results, load
 from bojax.robots.quaternions import yaw_of
 from tests.compiling import REPEATABLY
 from tests.motions.families import wrapped
+from tests.runs import run
 
 NUM_RUNS = 24
 LENIENT = {"distance_tolerance": 0.4, "heading_tolerance": 0.9, "bearing_tolerance": 0.9}
@@ -32,11 +33,8 @@ CASES = {
 @pytest.fixture(scope="module", params=CASES)
 def results(request, tmp_path_factory) -> Results:
     """A few runs under the default rule, all of them recorded."""
-    folder = tmp_path_factory.mktemp("parked") / "results"
-    config, *changes = CASES[request.param]
-    words = [config, *changes, f"record.runs={NUM_RUNS}", "--runs", str(NUM_RUNS), "--out", str(folder)]
-    assert main(["run", *words]) == 0
-    return load(folder)
+    words = [*CASES[request.param], f"record.runs={NUM_RUNS}", "--runs", str(NUM_RUNS)]
+    return load(run(tmp_path_factory.mktemp("parked") / "results", *words))
 
 
 def is_parked(x: float, y: float, heading: float) -> bool:
@@ -53,7 +51,7 @@ def last_poses(results: Results) -> np.ndarray:
     """The pose of each run after its last step, from steps.parquet."""
     steps = results.steps
     columns = np.stack([steps[name] for name in ("x", "y", "heading")], axis=-1)
-    return np.stack([columns[np.flatnonzero(steps["run"] == run)[-1]] for run in range(NUM_RUNS)])
+    return np.stack([columns[np.flatnonzero(steps["run"] == number)[-1]] for number in range(NUM_RUNS)])
 
 
 def test_a_run_succeeds_if_and_only_if_it_ends_parked(results):
@@ -67,13 +65,13 @@ def test_steps_paths_frames_and_films_end_at_one_pose(results):
     (point,) = results.points
     kept = dict(results.arrays(point, "paths"))
     poses = last_poses(results)
-    for run, pose in enumerate(poses):
-        drive = choose_drive(results, 0, run)
-        paths = kept[run]["paths"]
-        number = np.isfinite(paths[:, 0, 0]).sum()
-        ends = [paths[number - 1, -1], PlanningFilm(drive)._curves[-1][-1]]
-        if "frames" in kept[run]:
-            qpos = kept[run]["frames"][number - 1, -1]
+    for number, pose in enumerate(poses):
+        drive = choose_drive(results, 0, number)
+        paths = kept[number]["paths"]
+        last = np.isfinite(paths[:, 0, 0]).sum() - 1
+        ends = [paths[last, -1], PlanningFilm(drive)._curves[-1][-1]]
+        if "frames" in kept[number]:
+            qpos = kept[number]["frames"][last, -1]
             yaw = float(yaw_of(jnp.asarray(qpos[3:7])))
             ends.append(np.asarray([*qpos[:2], yaw]))
         for end in ends:
@@ -96,42 +94,45 @@ def test_a_path_ends_at_rest_where_its_outcome_is_decided(vehicle):
         world = problem.vehicle.reset(jnp.asarray([-0.5, 0.3, 0.2]))
         after, reading, events = problem.execute(key, world, path)
         decided = problem.outcome(problem.pose(world), events.driven)
-        return after, problem.pose(after), reading, events, decided
+        return after, problem.pose(after), problem.vehicle.estimate(after), reading, events, decided
 
-    after, pose, reading, events, decided = jax.device_get(drive(jax.random.key(0)))
+    after, pose, estimate, reading, events, decided = jax.device_get(drive(jax.random.key(0)))
     np.testing.assert_allclose(events.driven[-1, :2], pose[:2], atol=1e-12)
     assert abs(wrapped(events.driven[-1, 2] - pose[2])) < 1e-12
     assert events.reward == decided.reward and events.success == decided.success
     assert np.abs(reading - pose).max() > 0.01
     if events.frames is not None:
         np.testing.assert_array_equal(events.frames[-1], after.robot.qpos)
+        np.testing.assert_array_equal(reading, estimate)  # it plans from where it takes itself to be
         assert np.linalg.norm(after.robot.qvel[:2]) < 0.01
 
 
-@pytest.mark.parametrize("rule", ["printed", "anywhere-bearing-dropped"])
-def test_a_simulated_robot_that_passes_the_spot_drives_on(rule):
-    """It is recorded where it comes to rest, and parks on the way only if the rule has it so."""
-    problem = build(Parking(vehicle=WheeledRobot(), rule=rule, position_noise=0.0, heading_noise=0.0))
-    straight = jnp.asarray(np.stack([np.linspace(0.1, 1.0, 10), np.zeros(10), np.zeros(10)], axis=-1))
+STRAIGHT = np.stack([np.linspace(0.1, 1.0, 10), np.zeros(10), np.zeros(10)], axis=-1)
 
-    def drive(key):
+
+def test_a_simulated_robot_that_passes_the_spot_drives_on():
+    """It is recorded where it comes to rest, and parks on the way only if the rule has it so."""
+
+    @partial(jax.jit, compiler_options=REPEATABLY)
+    def drive(problem, key):
         world = problem.vehicle.reset(jnp.asarray([-0.5, 0.0, 0.0]))
-        after, _, events = problem.execute(key, world, straight)
+        after, _, events = problem.execute(key, world, jnp.asarray(STRAIGHT))
         return problem.pose(after), events
 
-    pose, events = jax.device_get(jax.jit(drive, compiler_options=REPEATABLY)(jax.random.key(0)))
-    np.testing.assert_allclose(pose[:2], [0.5, 0.0], atol=0.02)
-    np.testing.assert_allclose(events.driven[-1], [*pose[:2], wrapped(pose[2])], atol=1e-6)
-    assert events.success == (rule != "printed")
+    for rule in ("printed", "anywhere-bearing-dropped"):
+        problem = build(Parking(vehicle=WheeledRobot(), rule=rule, position_noise=0.0, heading_noise=0.0))
+        pose, events = jax.device_get(drive(problem, jax.random.key(0)))
+        np.testing.assert_allclose(pose[:2], [0.5, 0.0], atol=0.02)
+        np.testing.assert_allclose(events.driven[-1], [*pose[:2], wrapped(pose[2])], atol=1e-6)
+        assert events.success == (rule != "printed")
 
 
 def test_the_truth_counts_and_not_the_belief():
     problem = build(Parking(position_noise=1.0, heading_noise=1.0))
-    straight = jnp.asarray(np.stack([np.linspace(0.1, 1.0, 10), np.zeros(10), np.zeros(10)], axis=-1))
     starts = jnp.asarray([[-1.05, 0.0, 0.0], [-1.05, 0.5, 0.0]])
     after, readings, events = jax.device_get(
         jax.jit(jax.vmap(problem.execute, in_axes=(0, 0, None)))(
-            jax.random.split(jax.random.key(0), 2), starts, straight
+            jax.random.split(jax.random.key(0), 2), starts, STRAIGHT
         )
     )
     np.testing.assert_array_equal(events.success, [True, False])
