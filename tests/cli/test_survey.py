@@ -6,7 +6,6 @@ import re
 from functools import partial
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 shapely = pytest.importorskip("shapely")
@@ -25,6 +24,7 @@ from bojax.surveys.team import least_distance  # noqa: E402
 from bojax.surveys.turns import least_radius  # noqa: E402
 from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
 from tests.fields.test_raster_files import write_tif  # noqa: E402
+from tests.runs import run, tables  # noqa: E402
 from tests.transcript import cases  # noqa: E402
 
 
@@ -51,6 +51,15 @@ def write_ascii(path) -> str:
     return str(path)
 
 
+def planned(out, *words: str) -> dict:
+    """What `bojax survey` wrote about a plan."""
+    assert main(["survey", *words, "--out", str(out)]) == 0
+    return json.loads((out / "survey.json").read_text())
+
+
+BUDGET = ("300x200", "--budget", "600")
+
+
 def rows_of(folder) -> dict[str, np.ndarray]:
     with (folder / "waypoints.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -66,7 +75,7 @@ def test_a_geojson_with_a_hole(tmp_path, capsys):
     (tmp_path / "bay.geojson").write_text(geojson(OUTER, HOLE))
     out = tmp_path / "out"
     words = ["--time", "1h", "--speed", "1.5", "--start", "10.001,54.001", "--end", "10.019,54.009"]
-    assert main(["survey", str(tmp_path / "bay.geojson"), *words, "--out", str(out)]) == 0
+    planned(out, str(tmp_path / "bay.geojson"), *words)
     assert "The best of" in capsys.readouterr().out
     rows = rows_of(out)
     assert rows["distance"][-1] <= 5400.0 + 1e-3
@@ -85,7 +94,7 @@ def test_a_geojson_with_a_hole(tmp_path, capsys):
 
 def test_the_least_expected_error_is_proposed_and_curves_fall(tmp_path):
     out = tmp_path / "out"
-    candidates = goal_survey(out)["candidates"]
+    candidates = planned(out, *BUDGET)["candidates"]
     assert candidates[0]["errors"][-1] == min(each["errors"][-1] for each in candidates)
     for each in candidates:
         assert np.all(np.diff(each["errors"]) <= 1e-12)
@@ -97,8 +106,7 @@ def test_the_least_expected_error_is_proposed_and_curves_fall(tmp_path):
 
 def test_an_ascii_raster_is_covered(tmp_path):
     out = tmp_path / "out"
-    assert main(["survey", write_ascii(tmp_path / "a.asc"), "--spacing", "10", "--out", str(out)]) == 0
-    survey = json.loads((out / "survey.json").read_text())
+    survey = planned(out, write_ascii(tmp_path / "a.asc"), "--spacing", "10")
     assert survey["candidates"][0]["length"] == min(each["length"] for each in survey["candidates"])
     line = shapely.LineString(route_in(out))
     rows, columns = np.nonzero(~np.isnan(with_hole()[::-1]))
@@ -109,8 +117,7 @@ def test_an_ascii_raster_is_covered(tmp_path):
 def test_two_robots_keep_their_budgets_ends_and_distance(tmp_path):
     out = tmp_path / "out"
     words = ["--budget", "500", "--robots", "2", "--separation", "10", "--end", "150,0"]
-    assert main(["survey", "300x200", *words, "--start", "0,0", "--start", "300,0", "--out", str(out)]) == 0
-    survey = json.loads((out / "survey.json").read_text())
+    survey = planned(out, "300x200", *words, "--start", "0,0", "--start", "300,0")
     routes = [np.array(route) for route in survey["candidates"][0]["routes"]]
     for number, route in enumerate(routes, start=1):
         with (out / f"waypoints-{number}.csv").open() as file:
@@ -125,16 +132,11 @@ def test_two_robots_keep_their_budgets_ends_and_distance(tmp_path):
     assert survey["candidates"][0]["errors"][-1] <= mowers[0]["errors"][-1]
 
 
-def goal_survey(out, *words) -> dict:
-    assert main(["survey", "300x200", "--budget", "600", *words, "--out", str(out)]) == 0
-    return json.loads((out / "survey.json").read_text())
-
-
 def test_a_region_counts_alone(tmp_path):
     corners = [[200, 100], [300, 100], [300, 300], [200, 300], [200, 100]]
     (tmp_path / "part.geojson").write_text(geojson(corners, crs=None))
     out = tmp_path / "out"
-    survey = goal_survey(out, "--goal", f"region={tmp_path / 'part.geojson'}")
+    survey = planned(out, *BUDGET, "--goal", f"region={tmp_path / 'part.geojson'}")
     with np.load(out / "survey.npz") as arrays:
         assert arrays["grid"].min(0)[0] > 200.0 and arrays["grid"].min(0)[1] > 100.0
     middle = np.median(route_in(out), axis=0)
@@ -149,8 +151,7 @@ def test_a_threshold_weighs_places_by_an_earlier_survey_of_a_geotiff_with_holes(
     sloping += 0.3 * np.random.default_rng(1).standard_normal(sloping.shape)
     file, out = write_tif(tmp_path / "bay.tif", sloping), tmp_path / "out"
     words = ["--prior", file, "--budget", "1500", "--lawnmower", "--goal", "threshold=2.5"]
-    assert main(["survey", file, *words, "--out", str(out)]) == 0
-    survey = json.loads((out / "survey.json").read_text())
+    survey = planned(out, file, *words)
     assert "learned from 200 values of bay.tif" in survey["settings"]["model"]
     assert rows_of(out)["distance"][-1] <= 1500.0 + 1e-3
     with np.load(out / "survey.npz") as arrays:
@@ -177,8 +178,7 @@ def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path, monkeypatch):
     prior, out = tmp_path / "prior.csv", tmp_path / "out"
     rows = np.random.default_rng(0).uniform(0.0, 80.0, (30, 3))
     prior.write_text("x,y,Salt (PSU)\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()))
-    words = ["--prior", str(prior), "--budget", "300", "--lawnmower", "--out", str(out)]
-    assert main(["survey", write_ascii(tmp_path / "a.asc"), *words]) == 0
+    planned(out, write_ascii(tmp_path / "a.asc"), "--prior", str(prior), "--budget", "300", "--lawnmower")
     with np.load(out / "survey.npz") as arrays:
         assert len(arrays["read_0"]) == np.sum(~np.isnan(with_hole()))
         np.testing.assert_allclose(arrays["read_1"], rows)
@@ -188,7 +188,7 @@ def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path, monkeypatch):
 
 
 def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):
-    survey = goal_survey(tmp_path / "out", "--goal", "hotspots", "--lawnmower")
+    survey = planned(tmp_path / "out", *BUDGET, "--goal", "hotspots", "--lawnmower")
     assert "note: All places count alike: without --prior," in capsys.readouterr().out
     assert any("All places count alike" in text for text in survey["settings"].values())
 
@@ -254,26 +254,23 @@ def test_an_earlier_survey_must_vary(here, refusal):
         assert refusal(f"survey 100x100 --prior {file}").startswith(f"{file}: {message}")
 
 
-@pytest.mark.parametrize(("at", "is_noted"), [(20.0, False), (5000.0, True)])
-def test_an_earlier_survey_elsewhere_is_named(here, monkeypatch, capsys, at, is_noted):
+@pytest.mark.parametrize(
+    ("at", "factor", "note"),
+    [
+        (20.0, 1.0, None),
+        (5000.0, 1.0, "no value lies in the area: the model is learned from a field elsewhere."),
+        (20.0, 1e9, "the values have a standard deviation of 1.41e+09; check their unit.\n"),
+    ],
+)
+def test_an_earlier_survey_elsewhere_or_in_an_unlikely_unit_is_named(
+    here, monkeypatch, capsys, at, factor, note
+):
     monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
-    (here / "old.csv").write_text("x,y,z\n" + "\n".join(f"{at + i},{i % 7},{i % 5}" for i in range(30)))
-    words = ["100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower", "--out", "out"]
-    assert main(["survey", *words]) == 0
-    note = "note: old.csv: no value lies in the area: the model is learned from a field elsewhere."
-    assert (note in capsys.readouterr().out) == is_noted
-
-
-@pytest.mark.parametrize(("factor", "is_noted"), [(1.0, False), (1e9, True)])
-def test_an_earlier_survey_in_an_unlikely_unit_is_named(tmp_path, monkeypatch, capsys, factor, is_noted):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
-    rows = [f"{i},{i % 7},{factor * (i % 5 - 9)}" for i in range(30)]
-    (tmp_path / "old.csv").write_text("x,y,z\n" + "\n".join(rows))
-    words = ["100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower", "--out", "out"]
-    assert main(["survey", *words]) == 0
-    note = "note: old.csv: the values have a standard deviation of 1.41e+09; check their unit.\n"
-    assert (note in capsys.readouterr().out) == is_noted
+    rows = [f"{at + i},{i % 7},{factor * (i % 5 - 9)}" for i in range(30)]
+    (here / "old.csv").write_text("x,y,z\n" + "\n".join(rows))
+    planned(here / "out", "100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower")
+    out = capsys.readouterr().out
+    assert f"note: old.csv: {note}" in out if note else "note: old.csv" not in out
 
 
 def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
@@ -289,10 +286,10 @@ def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
 def test_the_config_of_a_survey_runs_as_it_is(tmp_path):
     out, runs = tmp_path / "survey", tmp_path / "runs"
     words = ["--budget", "500", "--lengthscale", "60", "--start", "20,30", "--lawnmower"]
-    assert main(["survey", "300x200", *words, "--out", str(out)]) == 0
+    planned(out, "300x200", *words)
     changed = ["planner=random", "planner.motions.length=60", "planner.motions.num_samples=5"]
-    assert main(["run", str(out / "simulation.yaml"), *changed, "--runs", "2", "--out", str(runs)]) == 0
-    steps = pq.read_table(runs / "steps.parquet").to_pydict()
+    run(runs, str(out / "simulation.yaml"), *changed, "--runs", "2", has_report=True)
+    (steps,) = tables(runs, "steps")
     assert 400.0 < max(steps["distance"]) <= 500.0 + 1e-6
     assert read_mapping(out / "simulation.yaml", "")["problem"]["start"][:2] == [20.0, 30.0]
 
@@ -303,7 +300,7 @@ def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
     (tmp_path / "pond.geojson").write_text(geojson(border, hole, crs=None))
     out, runs = tmp_path / "survey", tmp_path / "runs"
     words = ["--budget", "900", "--lengthscale", "60", "--start", "20,90", "--end", "280,90", "--lawnmower"]
-    assert main(["survey", str(tmp_path / "pond.geojson"), *words, "--out", str(out)]) == 0
+    survey = planned(out, str(tmp_path / "pond.geojson"), *words)
     planners = read_mapping(out / "planners.yaml", "")["axes"]["planner"]
     assert [*planners] == ["route", "lawnmower", "kcbts", "cbts", "sbo", "myopic", "random"]
     for sweep in (load_sweep(str(out / "planners.yaml")), load_config(str(out / "simulation.yaml"))):
@@ -313,34 +310,24 @@ def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
         changed = [
             f"planner.{key}={json.dumps(value)}" for key, value in planners[name].items() if key != "kind"
         ]
-        config, folder = str(out / "simulation.yaml"), runs / name
-        words = [
-            f"planner={planners[name]['kind']}",
-            *changed,
-            "problem.resolution=121",
-            "--runs",
-            "2",
-            "--out",
-            str(folder),
-        ]
-        assert main(["run", config, *words]) == 0
-        found, steps = (pq.read_table(folder / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
+        words = [f"planner={planners[name]['kind']}", *changed, "problem.resolution=121", "--runs", "2"]
+        found, steps = tables(run(runs / name, str(out / "simulation.yaml"), *words))
         assert found["success"] == [True, True] and max(steps["distance"]) <= 900.0 + 1e-6
         assert bool(sum(found["collisions"])) == stops
         last = [(x, y) for x, y, done in zip(steps["x"], steps["y"], steps["done"], strict=True) if done]
         np.testing.assert_allclose(last, [(280.0, 90.0)] * 2, atol=1e-6)
     # What the survey expects of the lawnmower is what its simulation finds. A coarse grid has a larger share
     # of points at the border, where the deviation is larger.
-    expected = json.loads((out / "survey.json").read_text())["candidates"][0]["errors"][-1]
-    mean_std = pq.read_table(runs / "lawnmower" / "runs.parquet").to_pydict()["mean_std"]
-    assert mean_std == pytest.approx([expected] * 2, rel=0.02)
+    expected = survey["candidates"][0]["errors"][-1]
+    (found,) = tables(runs / "lawnmower", "runs")
+    assert found["mean_std"] == pytest.approx([expected] * 2, rel=0.02)
 
 
 def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
     out = tmp_path / "survey"
     words = ["--budget", "500", "--lengthscale", "60", "--robots", "2", "--separation", "20", "--lawnmower"]
     ends = ["--start", "0,0", "--start", "300,0", "--end", "150,0"]
-    assert main(["survey", "300x200", *words, *ends, "--out", str(out)]) == 0
+    planned(out, "300x200", *words, *ends)
     assert (
         "note: simulation-N.yaml has robot N alone, without what others measure." in capsys.readouterr().out
     )
@@ -353,9 +340,7 @@ def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
         assert content["planner"]["file"] == str(out / f"waypoints-{number}.csv")
         for point in load_sweep(str(out / f"planners-{number}.yaml")).points:
             build(point.config)
-        runs = tmp_path / f"runs-{number}"
-        assert main(["run", str(config), "--runs", "1", "--out", str(runs)]) == 0
-        found, steps = (pq.read_table(runs / f"{each}.parquet").to_pydict() for each in ("runs", "steps"))
+        found, steps = tables(run(tmp_path / f"runs-{number}", str(config), "--runs", "1"))
         assert found["success"] == [True] and found["collisions"] == [0] and found["exits"] == [0]
         assert max(steps["distance"]) <= 500.0 + 1e-6
 
@@ -364,9 +349,8 @@ def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
 def test_the_turns_that_are_written_have_the_radius(tmp_path, plan):
     out = tmp_path / "out"
     area = write_ascii(tmp_path / "a.asc")
-    assert main(["survey", area, *plan.split(), "--turning-radius", "6m", "--out", str(out)]) == 0
+    settings = planned(out, area, *plan.split(), "--turning-radius", "6m")["settings"]
     assert least_radius(route_in(out)) > 5.95  # written to a millimetre
-    settings = json.loads((out / "survey.json").read_text())["settings"]
     assert settings["turning radius"].startswith("6 m; the tightest turn has 6")
     assert ("left out for the turns" in settings) == (plan == "--spacing 30")
 
@@ -406,10 +390,10 @@ def test_a_route_without_a_measurement_is_named(tmp_path, capsys):
 
 
 def test_what_a_survey_does_not_use_is_noted(tmp_path, capsys):
-    words = ["survey", "300x200", "--budget", "999.7", "--lawnmower"]
-    assert main([*words, "--out", str(tmp_path / "plain")]) == 0
+    words = ["300x200", "--budget", "999.7", "--lawnmower"]
+    planned(tmp_path / "plain", *words)
     assert "note: --" not in capsys.readouterr().out
-    assert main([*words, "--spacing", "25", "--separation", "5", "--out", str(tmp_path / "noted")]) == 0
+    planned(tmp_path / "noted", *words, "--spacing", "25", "--separation", "5")
     printed = capsys.readouterr().out
     assert "note: --separation: one robot does not use it." in printed
     assert "note: --spacing: with a budget, it is only the least distance between the lines" in printed

@@ -10,6 +10,7 @@ from bojax.cli.main import main
 from bojax.engine.replay import Replay
 from bojax.envs.settings import Gymnasium
 from bojax.report.source import load
+from tests.runs import run
 
 LEARNER = "learner={kind: rff-q, features: {num_features: 16}}"
 
@@ -58,9 +59,7 @@ def walks():
 
 def recorded(folder, id="Walk-v0", *settings):
     env = f"env={{kind: gymnasium, id: {id}}}"
-    words = ["mountain-car", env, LEARNER, "stop=never", "episodes=3", *settings]
-    assert main(["run", *words, "--runs", "2", "--out", str(folder)]) == 0
-    return folder
+    return run(folder, "mountain-car", env, LEARNER, "stop=never", "episodes=3", *settings, "--runs", "2")
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +67,9 @@ def folder(tmp_path_factory):
     return recorded(tmp_path_factory.mktemp("replay") / "walk")
 
 
-def steps_of(folder, run, episode):
+def steps_of(folder, number, episode):
     steps = load(folder).steps
-    chosen = (steps["run"] == run) & (steps["episode"] == episode)
+    chosen = (steps["run"] == number) & (steps["episode"] == episode)
     return steps["observation_0"][chosen], steps["action_0"][chosen]
 
 
@@ -78,12 +77,11 @@ def steps_of(folder, run, episode):
 def test_a_replay_has_the_recorded_observations(folder, tmp_path, starts):
     if starts == "per-run":
         folder = recorded(tmp_path / "walk", "Walk-v0", "starts=per-run")
-    for run in (0, 1):
+    for number in (0, 1):
         for episode in (1, 3):
-            observations, actions = steps_of(folder, run, episode)
-            replay = Replay(
-                Gymnasium(id="Walk-v0"), "float64", load(folder).manifest.seed, run, episode, starts
-            )
+            observations, actions = steps_of(folder, number, episode)
+            seed = load(folder).manifest.seed
+            replay = Replay(Gymnasium(id="Walk-v0"), "float64", seed, number, episode, starts)
             assert replay.seconds == 0.05 and len(actions) > 1
             for _ in range(2):  # it may begin again
                 replay.begin()
