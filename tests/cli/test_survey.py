@@ -16,6 +16,7 @@ from bojax.cli.main import main  # noqa: E402
 from bojax.config.sweep import load_config, load_sweep  # noqa: E402
 from bojax.config.yaml_file import read_mapping  # noqa: E402
 from bojax.engine.build import build  # noqa: E402
+from bojax.experiments.planning import PlanningEpisode  # noqa: E402
 from bojax.report import surveying  # noqa: E402
 from bojax.report.surveying import _distance, survey_summary  # noqa: E402
 from bojax.surveys import model, planning, simulated  # noqa: E402
@@ -283,6 +284,15 @@ def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
     assert survey_summary(tmp_path).endswith(end)
 
 
+def check_planners(config, sweep) -> None:
+    """The planners of a config and of a sweep fit the one problem of both, which is built once."""
+    points = load_config(str(config)).points + load_sweep(str(sweep)).points
+    problem = build(points[0].config.problem)
+    for point in points:
+        assert point.config.problem == points[0].config.problem
+        PlanningEpisode(problem, build(point.config.planner))
+
+
 def test_the_config_of_a_survey_runs_as_it_is(tmp_path):
     out, runs = tmp_path / "survey", tmp_path / "runs"
     words = ["--budget", "500", "--lengthscale", "60", "--start", "20,30", "--lawnmower"]
@@ -303,9 +313,7 @@ def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
     survey = planned(out, str(tmp_path / "pond.geojson"), *words)
     planners = read_mapping(out / "planners.yaml", "")["axes"]["planner"]
     assert [*planners] == ["route", "lawnmower", "kcbts", "cbts", "sbo", "myopic", "random"]
-    for sweep in (load_sweep(str(out / "planners.yaml")), load_config(str(out / "simulation.yaml"))):
-        for point in sweep.points:
-            build(point.config)
+    check_planners(out / "simulation.yaml", out / "planners.yaml")
     for name, stops in (("lawnmower", False), ("random", True)):
         changed = [
             f"planner.{key}={json.dumps(value)}" for key, value in planners[name].items() if key != "kind"
@@ -338,8 +346,7 @@ def test_each_robot_of_a_survey_has_a_config_that_runs_alone(tmp_path, capsys):
         assert f"by robot {number} of 2 alone" in content["title"]
         assert content["problem"]["start"][:2] == start and content["problem"]["end"] == [150.0, 0.0]
         assert content["planner"]["file"] == str(out / f"waypoints-{number}.csv")
-        for point in load_sweep(str(out / f"planners-{number}.yaml")).points:
-            build(point.config)
+        check_planners(config, out / f"planners-{number}.yaml")
         found, steps = tables(run(tmp_path / f"runs-{number}", str(config), "--runs", "1"))
         assert found["success"] == [True] and found["collisions"] == [0] and found["exits"] == [0]
         assert max(steps["distance"]) <= 500.0 + 1e-6
