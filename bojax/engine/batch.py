@@ -38,27 +38,17 @@ TRACING = threading.Lock()
 
 
 class Lanes(NamedTuple):
-    """Inputs of the lanes, on the device.
+    """Inputs of the lanes, on the device."""
 
-    Attributes:
-        runs: Index of each lane's run, from which its key is derived.
-        swept: Leaves whose values differ between points.
-    """
-
-    runs: Int[Array, " lanes"]
-    swept: PyTree
+    runs: Int[Array, " lanes"]  # index of each lane's run, from which its key is derived
+    swept: PyTree  # leaves whose values differ between points
 
 
 class Status(NamedTuple):
-    """Progress after an advance.
+    """Progress after an advance."""
 
-    Attributes:
-        is_done: Whether the run of each lane has finished.
-        active_steps: Environment steps of the advance.
-    """
-
-    is_done: Bool[Array, " lanes"]
-    active_steps: Int[Array, " lanes"]
+    is_done: Bool[Array, " lanes"]  # whether the run of each lane has finished
+    active_steps: Int[Array, " lanes"]  # environment steps of the advance
 
 
 class TracedOnce:
@@ -304,17 +294,12 @@ def on_device(structure: PyTree[jax.ShapeDtypeStruct], device: Device) -> PyTree
 
 
 class Obtained(NamedTuple):
-    """The programs of a group, loaded or compiled.
+    """The programs of a group, loaded or compiled."""
 
-    Attributes:
-        loaded: The programs and their carry. A call with inputs of another shape or on another device raises.
-        is_saved: Whether other devices and later sweeps can load them.
-        seconds: Seconds of loading, or of tracing and compiling.
-    """
-
+    # The programs and their carry. A call with inputs of another shape or on another device raises
     loaded: Loaded
-    is_saved: bool
-    seconds: float
+    is_saved: bool  # whether other devices and later sweeps can load them
+    seconds: float  # of loading, or of tracing and compiling
 
 
 def obtain(

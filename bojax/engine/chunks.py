@@ -46,16 +46,12 @@ class Layout:
     """How the runs of a group are divided and advanced. The bits of the results depend on it.
 
     It depends on the kind of device, but not on the number of devices.
-
-    Attributes:
-        queue: Maximum of runs in a chunk.
-        widths: Numbers of lanes, in descending order. A chunk starts with the first.
-        repack: Number of advances after which finished runs leave their lanes: runs of the queue take their
-            places, or, once it is empty, the others move to the next smaller number of lanes. 0 for never.
     """
 
-    queue: int
-    widths: tuple[int, ...]
+    queue: int  # maximum number of runs in a chunk
+    widths: tuple[int, ...]  # numbers of lanes, in descending order; a chunk starts with the first
+    # Number of advances after which finished runs leave their lanes: runs of the queue take their places, or,
+    # once it is empty, the others move to the next smaller number of lanes. 0 for never
     repack: int
 
     @property
@@ -99,25 +95,15 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """A queue of runs of one group.
+    """A queue of runs of one group."""
 
-    Attributes:
-        group: Index of the group.
-        index: Index of the chunk in the sweep.
-        positions: For each run, the position of its point among those of the group.
-        points: For each run, the index of its point in the sweep.
-        runs: For each run, its index among the runs of the point.
-        layout: How the runs are advanced.
-        identity: Hash of everything that the rows of the chunk depend on.
-    """
-
-    group: int
-    index: int
-    positions: np.ndarray
-    points: np.ndarray
-    runs: np.ndarray
-    layout: Layout
-    identity: str
+    group: int  # its index
+    index: int  # index of the chunk in the sweep
+    positions: np.ndarray  # for each run, the position of its point among those of the group
+    points: np.ndarray  # for each run, the index of its point in the sweep
+    runs: np.ndarray  # for each run, its index among the runs of the point
+    layout: Layout  # how the runs are advanced
+    identity: str  # hash of everything that the rows of the chunk depend on
 
     @property
     def num_runs(self) -> int:

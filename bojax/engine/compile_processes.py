@@ -47,29 +47,17 @@ _JAX_FRACTION = 0.75
 
 
 class Request(NamedTuple):
-    """The programs of a group for a number of lanes.
+    """The programs of a group for a number of lanes."""
 
-    Attributes:
-        kind: The class of the programs.
-        group: The group.
-        device: Platform and index of the device.
-        num_lanes: Number of lanes.
-        seed: Seed of the sweep.
-        recorded: Largest number of recorded runs of a chunk.
-        wider: The larger number of lanes that the runs come from; None if they start in these lanes.
-        choices: Folder of the plan's choices of kernels; None if nothing is kept.
-        key: Name of the programs in `program_cache`.
-    """
-
-    kind: type[Programs]
+    kind: type[Programs]  # the class of the programs
     group: StaticGroup
-    device: tuple[str, int]
+    device: tuple[str, int]  # platform and index of the device
     num_lanes: int
-    seed: int
-    recorded: int
-    wider: int | None
-    choices: Path | None
-    key: str | None
+    seed: int  # seed of the sweep
+    recorded: int  # largest number of recorded runs of a chunk
+    wider: int | None  # the larger number of lanes that the runs come from; None if they start in these lanes
+    choices: Path | None  # folder of the plan's choices of kernels; None if nothing is kept
+    key: str | None  # name of the programs in `program_cache`
 
     @classmethod
     def of(cls, programs: ProgramKey) -> "Request":

@@ -14,21 +14,14 @@ from bojax.experiments.base import Experiment
 
 @dataclass(frozen=True, eq=False)
 class StaticGroup:
-    """Points whose modules have equal tree structure, shapes and dtypes.
+    """Points whose modules have equal tree structure, shapes and dtypes."""
 
-    Attributes:
-        index: Index of the group in the sweep.
-        points: Indices of the group's points in the sweep.
-        swept: Array leaves whose values differ between points, `[num_points, ...]`; other leaves are None.
-        shared: Array leaves whose values are equal at all points; other leaves are None.
-        static: Leaves that are not arrays.
-    """
-
-    index: int
-    points: tuple[int, ...]
+    index: int  # index of the group in the sweep
+    points: tuple[int, ...]  # indices of the group's points in the sweep
+    # Array leaves whose values differ between points, `[num_points, ...]`; other leaves are None
     swept: PyTree
-    shared: PyTree
-    static: PyTree
+    shared: PyTree  # array leaves whose values are equal at all points; other leaves are None
+    static: PyTree  # leaves that are not arrays
 
     def swept_at(self, positions: np.ndarray) -> PyTree:
         """The swept leaves of lanes, given the position of each lane's point in the group."""

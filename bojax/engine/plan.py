@@ -23,25 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a sweep computes, divided into chunks.
-
-    Attributes:
-        sweep: The sweep.
-        modules: The experiment of each point.
-        groups: The static groups.
-        layouts: How the runs of each group are divided and advanced.
-        chunks: All chunks, group by group.
-        device: Description of the devices.
-        content: Everything that the numbers of the sweep depend on, as plain values. A sweep can only be
-            resumed with equal content.
-    """
+    """What a sweep computes, divided into chunks."""
 
     sweep: "Sweep"
-    modules: Sequence[Experiment]
+    modules: Sequence[Experiment]  # the experiment of each point
     groups: Sequence[StaticGroup]
-    layouts: Sequence[Layout]
-    chunks: Sequence[Chunk]
-    device: Mapping[str, Any]
+    layouts: Sequence[Layout]  # how the runs of each group are divided and advanced
+    chunks: Sequence[Chunk]  # all chunks, group by group
+    device: Mapping[str, Any]  # description of the devices
+    # Everything that the numbers of the sweep depend on, as plain values. A sweep can only be resumed with
+    # equal content
     content: Mapping[str, Any]
 
     def experiment(self, group: StaticGroup) -> Experiment:

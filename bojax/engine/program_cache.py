@@ -134,37 +134,26 @@ def held_programs(key: str | None, device: Device) -> "Loaded | None":
 
 
 class Loaded(NamedTuple):
-    """The programs of a group on a device.
+    """The programs of a group on a device."""
 
-    Attributes:
-        programs: The compiled programs, functions of the leaves of their inputs.
-        traced: The same program before its compilation, by its name; None if it is not saved.
-        carry: Shapes and dtypes of the leaves of the carry.
-        contents: Hashes of what XLA has made of the programs, see `autotuning.contents_of`.
-    """
-
-    programs: Mapping[str, Compiled]
+    programs: Mapping[str, Compiled]  # the compiled programs, functions of the leaves of their inputs
+    # The same program before its compilation, by its name; None if it is not saved
     traced: "Callable[[str], Program | None]"
-    carry: Sequence[jax.ShapeDtypeStruct]
+    carry: Sequence[jax.ShapeDtypeStruct]  # shapes and dtypes of the leaves of the carry
+    # Hashes of what XLA has made of the programs, see `autotuning.contents_of`
     contents: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class Program:
-    """A program of leaves, which can be compiled for any device of its platform.
+    """A program of leaves, which can be compiled for any device of its platform."""
 
-    Attributes:
-        function: The program, a function of the leaves of its inputs.
-        inputs: Shapes and dtypes of the leaves.
-        donated: Positions of the leaves whose buffers the program may overwrite.
-        exported: The traced program, which can be saved; None if it is traced when it is compiled.
-        gains_from_passes: Whether a CPU gets XLA's full optimisation in place of a quicker compilation.
-    """
-
-    function: Callable[..., PyTree]
-    inputs: Sequence[jax.ShapeDtypeStruct]
-    donated: tuple[int, ...]
+    function: Callable[..., PyTree]  # the program, a function of the leaves of its inputs
+    inputs: Sequence[jax.ShapeDtypeStruct]  # shapes and dtypes of the leaves
+    donated: tuple[int, ...]  # positions of the leaves whose buffers the program may overwrite
+    # The traced program, which can be saved; None if it is traced when it is compiled
     exported: Exported | None = None
+    # Whether a CPU gets XLA's full optimisation in place of a quicker compilation
     gains_from_passes: bool = False
 
     @classmethod

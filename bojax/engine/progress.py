@@ -20,23 +20,14 @@ TICK_SECONDS = 2.0
 
 @dataclass(eq=False)
 class GroupProgress:
-    """When a static group was compiled and run by this process, by `time.monotonic`; None before.
-
-    Attributes:
-        name: Name of the group.
-        compiling: When its compilation began.
-        compiled: When its compilation ended.
-        begun: When its first segment began.
-        ended: When its last segment ended.
-        has_failed: Whether its programs or some of its runs have failed.
-    """
+    """When a static group was compiled and run by this process, by `time.monotonic`; None before."""
 
     name: str
-    compiling: float | None = None
-    compiled: float | None = None
-    begun: float | None = None
-    ended: float | None = None
-    has_failed: bool = False
+    compiling: float | None = None  # when its compilation began
+    compiled: float | None = None  # when its compilation ended
+    begun: float | None = None  # when its first segment began
+    ended: float | None = None  # when its last segment ended
+    has_failed: bool = False  # whether its programs or some of its runs have failed
 
 
 class SweepProgress:

@@ -53,16 +53,12 @@ def num_shares(workers: int, groups: int, chunks: int) -> int:
 
 
 class Launcher(abc.ABC):
-    """Starts workers on other machines, or further processes of this one, until it is closed.
+    """Starts workers on other machines, or further processes of this one, until it is closed."""
 
-    Attributes:
-        is_awaited: Whether the driver waits for the workers, and merges at the end. Otherwise it ends once
-            they are submitted, and merges when it is started again with `--resume`.
-        all_refused: Whether every worker has left with an error.
-    """
-
+    # Whether the driver waits for the workers, and merges at the end. Otherwise it ends once they are
+    # submitted, and merges when it is started again with `--resume`
     is_awaited: bool
-    all_refused: bool = False
+    all_refused: bool = False  # whether every worker has left with an error
 
     @abc.abstractmethod
     def check(self, name: str) -> None:
@@ -107,17 +103,11 @@ class Launcher(abc.ABC):
 
 @dataclass(eq=False)
 class _Remote:
-    """A sweep that workers run.
+    """A sweep that workers run."""
 
-    Attributes:
-        target: The sweep and its folder.
-        chunks: The chunks of the plan for a CPU. A worker's plan may have fewer.
-        run: The sweep in its folder, open once a worker has planned it.
-    """
-
-    target: Target
-    chunks: Sequence[Chunk]
-    run: SweepRun | None = None
+    target: Target  # the sweep and its folder
+    chunks: Sequence[Chunk]  # the chunks of the plan for a CPU; a worker's plan may have fewer
+    run: SweepRun | None = None  # the sweep in its folder, open once a worker has planned it
 
 
 def run_remotely(

@@ -35,33 +35,21 @@ MOST_RECORD_BYTES = 1 << 28
 
 @dataclass(frozen=True)
 class Segment:
-    """What a segment did.
+    """What a segment did."""
 
-    Attributes:
-        finished: Number of runs that finished.
-        active_steps: Number of environment steps.
-        issued_steps: Number of steps if all lanes had always been busy.
-        seconds: Wall time, without waiting for a program.
-    """
-
-    finished: int
-    active_steps: int
-    issued_steps: int
-    seconds: float
+    finished: int  # number of runs that finished
+    active_steps: int  # number of environment steps
+    issued_steps: int  # number of steps if all lanes had always been busy
+    seconds: float  # wall time, without waiting for a program
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When a chunk pauses.
+    """When a chunk pauses."""
 
-    Attributes:
-        segment_seconds: Wall time of a segment.
-        checkpoint_seconds: Minimum time between two checkpoints.
-        stop: Whether a stop is requested; checked after every advance. By default it never is.
-    """
-
-    segment_seconds: float
-    checkpoint_seconds: float
+    segment_seconds: float  # wall time of a segment
+    checkpoint_seconds: float  # minimum time between two checkpoints
+    # Whether a stop is requested; checked after every advance. By default it never is
     stop: Callable[[], bool] = bool
 
 

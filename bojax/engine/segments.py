@@ -25,19 +25,12 @@ Rows = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Advances:
-    """Consecutive advances of the same lanes.
+    """Consecutive advances of the same lanes."""
 
-    Attributes:
-        carry: The carry after them.
-        records: The tables of each, on the device.
-        statuses: The `Status` after each, on the host.
-        num_bytes: Size of the records.
-    """
-
-    carry: Carry
-    records: list[Any]
-    statuses: list[Any]
-    num_bytes: int
+    carry: Carry  # the carry after them
+    records: list[Any]  # the tables of each, on the device
+    statuses: list[Any]  # the `Status` after each, on the host
+    num_bytes: int  # size of the records
 
 
 def run_advances(

@@ -22,18 +22,13 @@ _COMMITS = ThreadPoolExecutor(16, "commit")
 
 
 class Sink(abc.ABC):
-    """Receives the rows, snapshots, learners and checkpoints of a chunk.
+    """Receives the rows, snapshots, learners and checkpoints of a chunk."""
 
-    Attributes:
-        state: The progress of the chunk, changed while it runs.
-        recorded_runs: Number of recorded runs of each point, the first ones. Of these runs, snapshots and the
-            rows of recorded tables are kept.
-        saved_learners: Number of runs of each point, the first ones, whose learners are kept.
-    """
-
-    state: ChunkState
+    state: ChunkState  # the progress of the chunk, changed while it runs
+    # Number of recorded runs of each point, the first ones. Of these runs, snapshots and the rows of recorded
+    # tables are kept
     recorded_runs: int
-    saved_learners: int
+    saved_learners: int  # number of runs of each point, the first ones, whose learners are kept
 
     @abc.abstractmethod
     def write_piece(self, tables: dict[str, pa.Table]) -> None:

@@ -30,12 +30,9 @@ COMPILED = "compiled-{}.json"
 
 
 class Storage(abc.ABC):
-    """Where the rows of the chunks of a process go. Its methods may be called from any thread.
+    """Where the rows of the chunks of a process go. Its methods may be called from any thread."""
 
-    Attributes:
-        choices: The choices of XLA that belong to the plan; None for a CPU, or if nothing is kept.
-    """
-
+    # The choices of XLA that belong to the plan; None for a CPU, or if nothing is kept
     choices: Choices | None = None
 
     @abc.abstractmethod

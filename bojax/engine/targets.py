@@ -24,32 +24,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Request:
-    """A sweep to run.
+    """A sweep to run."""
 
-    Attributes:
-        sweep: The sweep, with resolved import paths.
-        out: The results folder; `results/<name>/<timestamp>` if None.
-    """
-
-    sweep: "Sweep"
-    out: Path | None
+    sweep: "Sweep"  # the sweep, with resolved import paths
+    out: Path | None  # the results folder; None for `results/<name>/<timestamp>`
 
 
 @dataclass(frozen=True)
 class Target:
-    """A sweep with its results folder.
-
-    Attributes:
-        sweep: The sweep.
-        path: The results folder.
-        is_resumed: Whether the sweep has begun there.
-        may_rename: Whether a new folder whose name is taken gets a number appended to the name.
-    """
+    """A sweep with its results folder."""
 
     sweep: "Sweep"
-    path: Path
-    is_resumed: bool
-    may_rename: bool
+    path: Path  # the results folder
+    is_resumed: bool  # whether the sweep has begun there
+    may_rename: bool  # whether a new folder whose name is taken gets a number appended to the name
 
 
 def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]:

@@ -37,19 +37,12 @@ EXPECTED = (ConfigError, ResultsError, EngineError, ImportError)
 
 @dataclass(frozen=True)
 class WorkerOptions:
-    """What a worker uses of its machine, and where it starts.
+    """What a worker uses of its machine, and where it starts."""
 
-    Attributes:
-        devices: Indices of the devices; None for all.
-        cores: Number of cores of a CPU; None for all that the process may run on.
-        number: Number of the share, from 0.
-        count: Number of shares that the chunks of the launch are divided into.
-    """
-
-    devices: Sequence[int] | None = None
-    cores: int | None = None
-    number: int = 0
-    count: int = 1
+    devices: Sequence[int] | None = None  # indices of the devices; None for all
+    cores: int | None = None  # number of cores of a CPU; None for all that the process may run on
+    number: int = 0  # number of the share, from 0
+    count: int = 1  # number of shares that the chunks of the launch are divided into
 
 
 def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[], bool]) -> int:

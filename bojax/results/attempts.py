@@ -40,20 +40,13 @@ Ending = Literal["done", "failed", "paused"]
 
 @dataclass(frozen=True)
 class Attempt:
-    """Who began an attempt.
+    """Who began an attempt."""
 
-    Attributes:
-        launch: Identifies the launch.
-        host: Name of the machine.
-        process: Identifies the process on its machine; None if unknown.
-        pieces: Number of pieces that earlier attempts had committed.
-        losses: Number of owners that the chunk had lost in this launch, in succession and without a commit.
-    """
-
-    launch: str
-    host: str
-    process: list[str] | None
-    pieces: int = 0
+    launch: str  # identifies the launch
+    host: str  # name of the machine
+    process: list[str] | None  # identifies the process on its machine; None if unknown
+    pieces: int = 0  # number of pieces that earlier attempts had committed
+    # Number of owners that the chunk had lost in this launch, in succession and without a commit
     losses: int = 0
 
     @property

@@ -34,28 +34,21 @@ _CHECKPOINT, _LEARNERS = "checkpoint-", f"{LEARNERS}-"
 
 @dataclass
 class ChunkState:
-    """The committed progress of a chunk.
+    """The committed progress of a chunk."""
 
-    Attributes:
-        pieces: Number of committed pieces.
-        advances: Number of advances at the checkpoint.
-        lanes: For each lane at the checkpoint, the index of its run in the chunk; -1 for none.
-        started: For each lane, the number of advances at which its run started.
-        next_run: Index of the next run that waits for a lane.
-        checkpoint: Folder of the checkpoint to resume from; None before the first and after the last.
-        is_done: Whether the pieces hold all rows of the chunk.
-        segments: `[lanes, active steps, seconds]` of each segment.
-        files: Size and SHA-256 of every committed file, by path in the folder of the chunk.
-    """
-
-    pieces: int = 0
-    advances: int = 0
+    pieces: int = 0  # number of committed pieces
+    advances: int = 0  # number of advances at the checkpoint
+    # For each lane at the checkpoint, the index of its run in the chunk; -1 for none
     lanes: list[int] = field(default_factory=list)
+    # For each lane, the number of advances at which its run started
     started: list[int] = field(default_factory=list)
-    next_run: int = 0
+    next_run: int = 0  # index of the next run that waits for a lane
+    # Folder of the checkpoint to resume from; None before the first and after the last
     checkpoint: str | None = None
-    is_done: bool = False
+    is_done: bool = False  # whether the pieces hold all rows of the chunk
+    # `[lanes, active steps, seconds]` of each segment
     segments: list[list[float]] = field(default_factory=list)
+    # Size and SHA-256 of every committed file, by path in the folder of the chunk
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
@@ -75,15 +68,10 @@ class ChunkState:
 
 @dataclass(frozen=True)
 class Staged:
-    """What a commit covers.
+    """What a commit covers."""
 
-    Attributes:
-        state: The progress at that moment.
-        names: Files and folders that have been added since the last commit.
-    """
-
-    state: ChunkState
-    names: list[str]
+    state: ChunkState  # the progress at that moment
+    names: list[str]  # files and folders that have been added since the last commit
 
 
 class ChunkFolder:

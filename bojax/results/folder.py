@@ -35,18 +35,12 @@ _ASKED_FOR = ("runs", "seed", "record", "config", "points")
 
 @dataclass(frozen=True)
 class Launch:
-    """What a worker needs to know of a sweep.
+    """What a worker needs to know of a sweep."""
 
-    Attributes:
-        identity: Identifies the launch: the start of the sweep, or one resumption.
-        folder: The working directory of the command, where files and modules of the sweep are looked up.
-        sweep: The sweep as plain values.
-        left: Indices of the chunks that are divided among the workers of the launch; None for all.
-    """
-
-    identity: str
-    folder: str
-    sweep: dict[str, Any]
+    identity: str  # identifies the launch: the start of the sweep, or one resumption
+    folder: str  # the working directory of the command, where files and modules of the sweep are looked up
+    sweep: dict[str, Any]  # as plain values
+    # Indices of the chunks that are divided among the workers of the launch; None for all
     left: list[int] | None = None
 
 

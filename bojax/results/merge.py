@@ -55,23 +55,14 @@ class ChunkInfo:
 
 @dataclass(frozen=True)
 class Merged:
-    """What merging has found.
+    """What merging has found."""
 
-    Attributes:
-        files: The committed files of each chunk that has any, by index of the chunk.
-        errors: Why chunks have failed, by index.
-        nans: Number of NaNs of each (point, run) that has any.
-        num_ignoring: Number of runs whose belief left out samples.
-        num_unsampled: Number of runs on fields without a sample where the field has a slope.
-        sha256: SHA-256 of the tables and of the snapshots, by path in the results folder.
-    """
-
-    files: Mapping[int, ChunkFolder]
-    errors: Mapping[int, str]
-    nans: Mapping[tuple[int, int], int]
-    num_ignoring: int
-    num_unsampled: int
-    sha256: Mapping[str, str]
+    files: Mapping[int, ChunkFolder]  # the committed files of each chunk that has any, by index of the chunk
+    errors: Mapping[int, str]  # why chunks have failed, by index
+    nans: Mapping[tuple[int, int], int]  # number of NaNs of each (point, run) that has any
+    num_ignoring: int  # number of runs whose belief left out samples
+    num_unsampled: int  # number of runs on fields without a sample where the field has a slope
+    sha256: Mapping[str, str]  # SHA-256 of the tables and of the snapshots, by path in the results folder
 
 
 def merge(

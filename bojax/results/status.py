@@ -22,56 +22,35 @@ SAMPLES = 50
 
 @dataclass(frozen=True)
 class OpenAttempt:
-    """An attempt at a chunk that has not ended.
+    """An attempt at a chunk that has not ended."""
 
-    Attributes:
-        chunk: Index of the chunk.
-        runs: Number of its runs.
-        attempt: Number of the attempt.
-        owner: The process, as `HOST-PID`.
-        age: Seconds since it began.
-        silence: Seconds since it last wrote a file.
-        is_gone: Whether its owner was a process of this machine that has ended.
-    """
-
-    chunk: int
-    runs: int
-    attempt: int
-    owner: str
-    age: float
-    silence: float
-    is_gone: bool
+    chunk: int  # index of the chunk
+    runs: int  # number of its runs
+    attempt: int  # number of the attempt
+    owner: str  # the process, as `HOST-PID`
+    age: float  # seconds since it began
+    silence: float  # seconds since it last wrote a file
+    is_gone: bool  # whether its owner was a process of this machine that has ended
 
 
 @dataclass
 class Status:
-    """The state of an unfinished sweep.
+    """The state of an unfinished sweep."""
 
-    Attributes:
-        name: Name of the sweep.
-        device: Kind of the devices that it is planned for; None as long as no worker has planned it.
-        chunks: Number of chunks.
-        runs: Number of runs.
-        done: Number of chunks that are done.
-        runs_done: Number of their runs.
-        paused: Number of chunks that wait at a checkpoint.
-        running: The chunks that run.
-        lost: The chunks whose owner is gone, or has written nothing for `SILENT_CHECKPOINTS`.
-        failed: The reason of each failed chunk, by index.
-        seconds_left: Seconds per run of the finished chunks times the runs left, divided by the number of
-            running chunks; None if unknown.
-    """
-
-    name: str
+    name: str  # name of the sweep
+    # Kind of the devices that it is planned for; None as long as no worker has planned it
     device: str | None = None
-    chunks: int = 0
-    runs: int = 0
-    done: int = 0
-    runs_done: int = 0
-    paused: int = 0
-    running: list[OpenAttempt] = field(default_factory=list)
+    chunks: int = 0  # number of all chunks
+    runs: int = 0  # number of all runs
+    done: int = 0  # number of chunks that are done
+    runs_done: int = 0  # number of their runs
+    paused: int = 0  # number of chunks that wait at a checkpoint
+    running: list[OpenAttempt] = field(default_factory=list)  # the chunks that run
+    # The chunks whose owner is gone, or has written nothing for `SILENT_CHECKPOINTS`
     lost: list[OpenAttempt] = field(default_factory=list)
-    failed: dict[int, str] = field(default_factory=dict)
+    failed: dict[int, str] = field(default_factory=dict)  # the reason of each failed chunk, by index
+    # Seconds per run of the finished chunks times the runs left, divided by the number of running chunks;
+    # None if unknown
     seconds_left: float | None = None
 
     @property
