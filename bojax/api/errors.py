@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from bojax.config.overrides import SOURCE
+from bojax.errors import UserError
 
 
 class BojaxError(Exception):
@@ -27,7 +28,5 @@ def in_one_line() -> Iterator[None]:
     """Turn errors that the command line prints as one line into a `BojaxError`."""
     try:
         yield
-    except Exception as error:
-        if not hasattr(error, "exit_code"):
-            raise
+    except UserError as error:
         raise BojaxError(str(error).removeprefix(f"{SOURCE}: ")) from None

@@ -13,6 +13,7 @@ from pathlib import Path
 from bojax import __version__
 from bojax.cli.parser import ON_WINDOWS, Parser
 from bojax.config.extras import OPTIONAL, how_to_install
+from bojax.errors import UserError
 from bojax.text import error_line
 
 _EXAMPLES = """\
@@ -34,7 +35,7 @@ class Finding:
     text: str  # description, one line
 
 
-class Failure(Exception):
+class Failure(UserError):
     """A failed check; the message says what failed and how to correct it."""
 
 
@@ -57,8 +58,7 @@ def examine(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
     try:
         yield from check()
     except Exception as error:
-        is_for_users = isinstance(error, Failure) or hasattr(error, "exit_code")
-        yield Finding("FAILED", str(error) if is_for_users else error_line(error))
+        yield Finding("FAILED", str(error) if isinstance(error, UserError) else error_line(error))
 
 
 def _python() -> Iterator[Finding]:

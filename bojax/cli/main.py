@@ -19,6 +19,7 @@ from typing import Any, NoReturn, TextIO, cast
 from bojax import __version__
 from bojax.cli.parser import ON_WINDOWS, Parser, UsageError
 from bojax.config.errors import control_character, did_you_mean, printable, shown
+from bojax.errors import INPUT_ERROR, UserError
 
 COMMANDS = {
     "list": ("listing", "list problems, planners and other parts, configs and sweeps"),
@@ -107,20 +108,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             print(printable(f"error: {error.filename}: {error.strerror}"), file=sys.stderr)
-            return UsageError.exit_code
+            return INPUT_ERROR
         is_closed = isinstance(error, BrokenPipeError)
         if not is_closed and (error.filename is not None or error.errno not in _DISK):
             raise
         return _end_output(error)
-    except Exception as error:
-        code, what = getattr(error, "exit_code", None), ""
+    except UserError as error:
+        print(printable(f"error: {error}"), file=sys.stderr)
+        return error.exit_code
+    except ValueError as error:
         has_begun = any(name.startswith("jax.") for name in sys.modules)
-        if isinstance(error, ValueError) and has_begun and "jax" not in sys.modules:
-            code, what = UsageError.exit_code, "JAX refuses its environment variables: "
-        if code is None:
+        if not has_begun or "jax" in sys.modules:
             raise
-        print(printable(f"error: {what}{error}"), file=sys.stderr)
-        return code
+        print(printable(f"error: JAX refuses its environment variables: {error}"), file=sys.stderr)
+        return INPUT_ERROR
 
 
 def _run_to_the_end(words: list[str]) -> int:
@@ -219,7 +220,7 @@ def dispatch(words: list[str]) -> int:
     """Run a command in this process, changing nothing of it, and return the exit code.
 
     Raises:
-        UsageError: The command line is wrong; other errors with an `exit_code` are those of the input.
+        UsageError: The command line is wrong; other errors of a user are those of the input.
     """
     for word in words:
         if sign := control_character(word):

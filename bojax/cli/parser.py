@@ -10,19 +10,14 @@ from typing_extensions import override
 
 from bojax.config.errors import ConfigError, allowed_names, control_character, did_you_mean, shown
 from bojax.config.yaml_file import parse
+from bojax.errors import UserError
 
 ON_WINDOWS = "needs Linux or macOS, on Windows the Linux of WSL 2: see Installation in the documentation"
 """Why sweeps do not run on Windows itself: results folders are locked by a POSIX call."""
 
 
-class UsageError(Exception):
-    """An invalid command line; the message is one line.
-
-    Attributes:
-        exit_code: Exit code of the command line.
-    """
-
-    exit_code = 2
+class UsageError(UserError):
+    """An invalid command line."""
 
 
 class Parser(argparse.ArgumentParser):

@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from bojax.cli.parser import Parser, integer, path
+from bojax.errors import UserError
 
 if TYPE_CHECKING:
     from bojax.engine.replay import Replay
@@ -48,11 +49,9 @@ def main(name: str, words: Sequence[str]) -> int:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("drawing", total=film.num_images)
             paths = render(film, args.folder / "animations", lambda: progress.advance(task))
-    except BrokenPipeError:
+    except (BrokenPipeError, UserError):
         raise
     except Exception as error:  # the manifest may hold invalid settings
-        if hasattr(error, "exit_code"):
-            raise
         raise ResultsError(f"{args.folder}: cannot be drawn: {error_line(error)}") from error
     print(*paths, sep="\n")
     return 0

@@ -10,6 +10,7 @@ from typing import Any
 
 import pydantic
 
+from bojax.errors import UserError
 from bojax.text import one_line
 
 Location = tuple[int | str, ...]
@@ -29,14 +30,8 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 _BREAK = re.compile(r"[\t\n\u2028\u2029]")
 
 
-class ConfigError(ValueError):
-    """A user's mistake in a configuration; the message is one line.
-
-    Attributes:
-        exit_code: Exit code of the command line.
-    """
-
-    exit_code = 2
+class ConfigError(UserError, ValueError):
+    """A mistake in a configuration."""
 
 
 def shown(value: Any) -> str:

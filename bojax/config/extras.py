@@ -3,6 +3,8 @@
 import contextlib
 from collections.abc import Iterator
 
+from bojax.errors import UserError
+
 OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
     "geo": ("rasterio", "GeoTIFF, NetCDF, map projections and bojax survey"),
@@ -19,14 +21,8 @@ def how_to_install(extra: str) -> str:
     return f"install it in a clone of bojax: pip install -e '.[{extra}]'"
 
 
-class MissingExtra(ImportError):
-    """An optional package that is not installed.
-
-    Attributes:
-        exit_code: Exit code of the command line.
-    """
-
-    exit_code = 2
+class MissingExtra(UserError, ImportError):
+    """An optional package that is not installed."""
 
     def __init__(self, package: str, extra: str):
         super().__init__(f"{package} is not installed; {how_to_install(extra)}")

@@ -26,9 +26,10 @@ import jax
 from jax.stages import Compiled
 
 from bojax.engine.devices import Device, prepare
-from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program, folder_of
 from bojax.engine.xla_choices import XLA_FOLDER, measured, shipped, write, xla_folder
+from bojax.errors import FAILURE
 from bojax.results.store import link, make_folder, read_checked_json, write_checked_json
 
 _COPIES = frozenset({"empty", "recorded", "select"})

@@ -1,19 +1,10 @@
-"""Errors of the engine: a message of one line and an exit code."""
+"""Errors of the engine."""
 
-INPUT_ERROR = 2
-FAILURE = 1
+from bojax.errors import FAILURE, UserError
 
 
-class EngineError(Exception):
-    """A failure that the user can act on.
-
-    Attributes:
-        exit_code: 2 if the input must be corrected, 1 if the machine or an experiment failed.
-    """
-
-    def __init__(self, message: str, exit_code: int = INPUT_ERROR):
-        super().__init__(message)
-        self.exit_code = exit_code
+class EngineError(UserError):
+    """The machine cannot run a sweep as it is asked to, or an experiment failed."""
 
 
 class Stopped(Exception):

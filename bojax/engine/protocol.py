@@ -9,7 +9,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, PyTree
 
-from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.errors import EngineError
+from bojax.errors import FAILURE
 from bojax.experiments.base import Carry, Experiment
 from bojax.results.schema import Table, column_names
 

@@ -14,11 +14,12 @@ import jax
 from bojax.config.saved_sweep import saved
 from bojax.engine.chunks import Chunk
 from bojax.engine.devices import prepare
-from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.errors import EngineError
 from bojax.engine.plan import plain, plan_made_elsewhere
 from bojax.engine.signals import StopRequest
 from bojax.engine.sweep_run import SweepRun, exit_code, resuming
 from bojax.engine.targets import Target, plan_unfinished
+from bojax.errors import FAILURE
 from bojax.results.folder import RunFolder, check_plan
 from bojax.results.status import status_of
 from bojax.results.store import MANIFEST, ResultsError, read_json

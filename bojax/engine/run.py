@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 from bojax.config.errors import ConfigError, printable
 from bojax.config.settings import Platform
 from bojax.engine.devices import Device, choose, find_devices, prepare
-from bojax.engine.errors import EngineError
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.signals import StopRequest
 from bojax.engine.sweep_run import SweepRun, exit_code
 from bojax.engine.targets import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
-from bojax.results.store import ResultsError
+from bojax.errors import UserError
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -58,7 +57,7 @@ def run_sweeps(
             prepare(device)
             devices = choose(find_devices(device), indices)
             return _run(targets, devices, command, finish, stop, planned)
-    except (ConfigError, ResultsError, EngineError) as error:
+    except UserError as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
 

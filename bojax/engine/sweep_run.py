@@ -11,7 +11,6 @@ from bojax.config.errors import printable
 from bojax.config.saved_sweep import saved
 from bojax.engine.autotuning import programs_in
 from bojax.engine.chunks import Chunk
-from bojax.engine.errors import FAILURE
 from bojax.engine.groups import StaticGroup
 from bojax.engine.learners import merge_learners
 from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of
@@ -20,6 +19,7 @@ from bojax.engine.progress import GroupProgress
 from bojax.engine.signals import StopRequest
 from bojax.engine.storage import FolderStorage, compile_seconds
 from bojax.engine.targets import Target
+from bojax.errors import FAILURE
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.chunk_folder import ChunkFolder, ChunkState
 from bojax.results.folder import RunFolder

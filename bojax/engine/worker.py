@@ -13,17 +13,17 @@ from typing import TypeVar
 
 import pydantic
 
-from bojax.config.errors import ConfigError, printable
+from bojax.config.errors import printable
 from bojax.config.external import resolve
 from bojax.config.saved_sweep import loaded
 from bojax.config.sweep import Sweep
 from bojax.engine.chunks import Chunk
 from bojax.engine.devices import choose, find_devices, prepare
-from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.plan import make_plan
 from bojax.engine.storage import FolderStorage
 from bojax.engine.tasks import progress_of, tasks_of, workers_for
+from bojax.errors import FAILURE, UserError
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import Launch, RunFolder
 from bojax.results.store import ResultsError
@@ -31,7 +31,7 @@ from bojax.text import error_line
 
 Item = TypeVar("Item")
 
-EXPECTED = (ConfigError, ResultsError, EngineError, ImportError)
+EXPECTED = (UserError, ImportError)
 """Errors that the user can act on, printed as one line."""
 
 

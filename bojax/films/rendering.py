@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bojax.errors import UserError
+
 CAMERAS = "side", "overview"
 """Names of cameras in order of preference; without them, MuJoCo's free camera shows the whole model."""
 
@@ -23,10 +25,8 @@ _PROBE = (
 _PATIENCE = 60.0
 
 
-class CannotDraw(RuntimeError):
-    """Robots cannot be rendered on this machine; the message says why in one line."""
-
-    exit_code = 2  # of the command line
+class CannotDraw(UserError):
+    """Robots cannot be rendered on this machine; the message says why."""
 
 
 def backend() -> str:

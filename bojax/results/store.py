@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
+from bojax.errors import UserError
 from bojax.text import one_line
 
 MANIFEST = "manifest.json"
@@ -47,16 +48,8 @@ _WRONG_PATH = (
 """Errors caused by a wrong path; all others are failures of the machine."""
 
 
-class ResultsError(Exception):
-    """An error in a results folder; the message is one line.
-
-    Attributes:
-        exit_code: 2 for a mistake in the input, 1 for a failure of the machine.
-    """
-
-    def __init__(self, message: str, exit_code: int = 2):
-        super().__init__(message)
-        self.exit_code = exit_code
+class ResultsError(UserError):
+    """An error in a results folder."""
 
 
 IS_POSIX = os.name == "posix"

@@ -25,8 +25,9 @@ from typing_extensions import override
 from bojax.config.errors import printable
 from bojax.config.extras import needed
 from bojax.config.launching import RayConfig
-from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.errors import EngineError
 from bojax.engine.remote import Launcher, num_shares
+from bojax.errors import FAILURE
 from bojax.text import error_line
 
 NAMESPACE = "bojax"
