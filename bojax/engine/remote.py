@@ -4,7 +4,7 @@ import abc
 import shlex
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from bojax.engine.devices import prepare
 from bojax.engine.errors import EngineError
 from bojax.engine.plan import plain, plan_made_elsewhere
 from bojax.engine.signals import StopRequest
-from bojax.engine.sweep_run import SweepRun, exit_code, resuming
+from bojax.engine.sweep_run import Invocation, SweepRun
 from bojax.engine.targets import Target, plan_unfinished
 from bojax.errors import FAILURE
 from bojax.results.folder import RunFolder, check_plan
@@ -111,32 +111,19 @@ class _Remote:
     run: SweepRun | None = None  # the sweep in its folder, open once a worker has planned it
 
 
-def run_remotely(
-    targets: Sequence[Target],
-    command: Sequence[str],
-    finish: Callable[[Path], Any],
-    stop: StopRequest,
-    launcher: Launcher,
-) -> int:
+def run_remotely(targets: Sequence[Target], invocation: Invocation, launcher: Launcher) -> int:
     """Start workers for sweeps, merge those whose chunks have ended, and return the exit code.
 
     The launcher is closed unless all chunks have ended: its workers may wait for other sweeps.
-
-    Args:
-        targets: The sweeps with their folders.
-        command: The command line.
-        finish: Called with the results folder of each finished sweep.
-        stop: Whether a stop is requested.
-        launcher: Starts the workers.
     """
     prepare("cpu")
     names = ", ".join(target.sweep.name for target in targets)
     launcher.check(names)
     # What is wrong with a sweep shows before the launch.
-    unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], finish)
+    unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], invocation.finish)
     remotes = [_Remote(_open(target), plan.chunks) for target, plan in unfinished]
     try:
-        return _run(remotes, names, command, finish, stop, launcher) if remotes else 0
+        return _run(remotes, names, invocation, launcher) if remotes else 0
     finally:
         for remote in remotes:
             if remote.run is not None:
@@ -171,21 +158,14 @@ def _described(content: dict[str, Any]) -> dict[str, Any]:
     return {**kept, "points": points}
 
 
-def _run(
-    remotes: Sequence[_Remote],
-    names: str,
-    command: Sequence[str],
-    finish: Callable[[Path], Any],
-    stop: StopRequest,
-    launcher: Launcher,
-) -> int:
+def _run(remotes: Sequence[_Remote], names: str, invocation: Invocation, launcher: Launcher) -> int:
     paths = [remote.target.path for remote in remotes]
     for remote in remotes:
-        _plan(remote, command)
+        _plan(remote, invocation)
     waiting = [remote for remote in remotes if not _has_ended(remote)]
     for remote in remotes:
         if remote not in waiting:
-            _finalise(remote, finish)
+            _finalise(remote, invocation)
     if waiting:
         try:
             folders = [remote.target.path for remote in waiting]
@@ -195,26 +175,26 @@ def _run(
                 launcher.start(names, folders, groups, sum(map(len, left)))
             if not launcher.is_awaited:
                 folders = shlex.join(map(str, paths))
-                print(f"progress:  bojax status {folders}\nto merge:  {resuming(command, paths)}")
+                print(f"progress:  bojax status {folders}\nto merge:  {invocation.resuming(paths)}")
                 return 0
-            _wait(waiting, command, finish, stop, launcher)
+            _wait(waiting, invocation, launcher)
         finally:
             if waiting:
                 launcher.close()
     runs = [remote.run for remote in remotes if remote.run is not None]
-    if not stop and (len(runs) < len(remotes) or any(run.merged is None for run in runs)):
-        raise EngineError(f"the workers have ended early; to go on: {resuming(command, paths)}", FAILURE)
-    return exit_code(runs, command, stop)
+    if not invocation.stop and (len(runs) < len(remotes) or any(run.merged is None for run in runs)):
+        raise EngineError(f"the workers have ended early; to go on: {invocation.resuming(paths)}", FAILURE)
+    return invocation.exit_code(runs)
 
 
-def _plan(remote: _Remote, command: Sequence[str]) -> None:
+def _plan(remote: _Remote, invocation: Invocation) -> None:
     """Open a sweep that a worker has planned."""
     folder = RunFolder(remote.target.path)
     content = folder.plan()
     if content is None or remote.run is not None:
         return
     plan = plan_made_elsewhere(remote.target.sweep, content, folder.device())
-    run = SweepRun(plan, remote.target, command)
+    run = SweepRun(plan, remote.target, invocation.command)
     # Failed chunks are retried only after a merge without them, which sets this status and reports them.
     manifest = remote.target.path / MANIFEST
     run.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")
@@ -237,24 +217,18 @@ def _has_ended(remote: _Remote) -> bool:
     return not remote.run.left
 
 
-def _finalise(remote: _Remote, finish: Callable[[Path], Any]) -> None:
+def _finalise(remote: _Remote, invocation: Invocation) -> None:
     assert remote.run is not None
-    remote.run.finalise(lambda text: print(text, file=sys.stderr), finish)
+    remote.run.finalise(lambda text: print(text, file=sys.stderr), invocation.finish)
 
 
-def _wait(
-    waiting: list[_Remote],
-    command: Sequence[str],
-    finish: Callable[[Path], Any],
-    stop: StopRequest,
-    launcher: Launcher,
-) -> None:
+def _wait(waiting: list[_Remote], invocation: Invocation, launcher: Launcher) -> None:
     """Merge each sweep once its chunks have ended; take it off the list.
 
     What the last workers wrote may become visible some time after they have left.
     """
     told, left = time.monotonic(), None
-    while waiting and not stop:
+    while waiting and not invocation.stop:
         if launcher.keep():
             left = None
         elif left is None:
@@ -264,14 +238,14 @@ def _wait(
             for remote in waiting:
                 print(status_of(remote.target.path).summary, file=sys.stderr)
         for remote in list(waiting):
-            _plan(remote, command)
+            _plan(remote, invocation)
             if _has_ended(remote):
                 waiting.remove(remote)
-                _finalise(remote, finish)
+                _finalise(remote, invocation)
         if left is not None and (launcher.all_refused or time.monotonic() - left > LATE_SECONDS):
             return
         if waiting:
-            _sleep(POLL_SECONDS, stop)
+            _sleep(POLL_SECONDS, invocation.stop)
 
 
 def _sleep(seconds: float, stop: StopRequest) -> None:

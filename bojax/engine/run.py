@@ -12,7 +12,7 @@ from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.signals import StopRequest
-from bojax.engine.sweep_run import SweepRun, exit_code
+from bojax.engine.sweep_run import Invocation, SweepRun
 from bojax.engine.targets import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
 from bojax.errors import UserError
@@ -51,28 +51,25 @@ def run_sweeps(
         with StopRequest() as stop:
             device = _common_device([request.sweep for request in requests])
             targets = choose_targets(requests, resume=resume)
+            invocation = Invocation(command, finish, stop)
             if launcher is not None:
                 planned()
-                return run_remotely(targets, command, finish, stop, launcher)
+                return run_remotely(targets, invocation, launcher)
             prepare(device)
             devices = choose(find_devices(device), indices)
-            return _run(targets, devices, command, finish, stop, planned)
+            return _run(targets, devices, invocation, planned)
     except UserError as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
 
 
 def _run(
-    targets: Sequence[Target],
-    devices: Sequence[Device],
-    command: Sequence[str],
-    finish: Callable[[Path], Any],
-    stop: StopRequest,
-    planned: Callable[[], Any],
+    targets: Sequence[Target], devices: Sequence[Device], invocation: Invocation, planned: Callable[[], Any]
 ) -> int:
     """Plan the sweeps, run those that are not finished, and return the exit code."""
     start = time.monotonic()
-    runs = [SweepRun(plan, target, command) for target, plan in plan_unfinished(targets, devices, finish)]
+    unfinished = plan_unfinished(targets, devices, invocation.finish)
+    runs = [SweepRun(plan, target, invocation.command) for target, plan in unfinished]
     for run in runs:
         run.note_seconds("planning", runs[0].planned - start)
     planned()
@@ -80,8 +77,8 @@ def _run(
         for run in runs:
             run.open()
         if runs:
-            _execute(runs, devices, finish, stop)
-        return exit_code(runs, command, stop) if runs else 0
+            _execute(runs, devices, invocation)
+        return invocation.exit_code(runs) if runs else 0
     finally:
         for run in runs:
             run.close()
@@ -96,9 +93,7 @@ def _common_device(sweeps: Sequence["Sweep"]) -> Platform:
     return sweeps[0].engine.device
 
 
-def _execute(
-    runs: Sequence[SweepRun], devices: Sequence[Device], finish: Callable[[Path], Any], stop: StopRequest
-) -> None:
+def _execute(runs: Sequence[SweepRun], devices: Sequence[Device], invocation: Invocation) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
     several = len(runs) > 1
     storages = {run.launch(): run for run in runs}
@@ -113,11 +108,11 @@ def _execute(
     workers = workers_for(tasks, devices)
     owned = {storage: run.plan.chunks for storage, run in storages.items()}
     with progress_of(owned, tasks) as progress:
-        for task in execute(tasks, workers, progress, stop.__bool__):
+        for task in execute(tasks, workers, progress, invocation.stop.__bool__):
             run = run_of[task]
             left[run] -= 1
             if not left[run] and several:
-                run.finalise(progress.say, finish)  # while the other sweeps run
-    for run in runs if not stop else ():
+                run.finalise(progress.say, invocation.finish)  # while the other sweeps run
+    for run in runs if not invocation.stop else ():
         if not left[run] and run.merged is None:  # also one that was killed before it was merged
-            run.finalise(lambda text: print(text, file=sys.stderr), finish)
+            run.finalise(lambda text: print(text, file=sys.stderr), invocation.finish)

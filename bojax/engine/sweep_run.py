@@ -4,6 +4,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -203,22 +204,29 @@ class SweepRun:
         return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
 
 
-def resuming(command: Sequence[str], paths: Sequence[Path]) -> str:
-    """The command that resumes the sweeps in results folders."""
-    given = list(command)
-    if len(paths) == 1 and not any(word == "--out" or word.startswith("--out=") for word in given):
-        given += ["--out", str(paths[0])]
-    if "--resume" not in given:
-        given.append("--resume")
-    return shlex.join(given)
+@dataclass(frozen=True)
+class Invocation:
+    """What all sweeps of a command have in common."""
 
+    command: Sequence[str]  # the command line, for the manifests and for the hint on how to resume
+    finish: Callable[[Path], Any]  # called with the results folder of each finished sweep
+    stop: StopRequest
 
-def exit_code(runs: Sequence[SweepRun], command: Sequence[str], stop: StopRequest) -> int:
-    """The exit code of a command. If it was interrupted, note this and print the command that resumes it."""
-    if not stop:
-        return FAILURE if any(run.has_failed for run in runs) else 0
-    for run in runs:
-        if run.merged is None:
-            run.write_manifest("interrupted")
-    print(f"interrupted; to resume:\n  {resuming(command, [run.path for run in runs])}", file=sys.stderr)
-    return stop.exit_code
+    def resuming(self, paths: Sequence[Path]) -> str:
+        """The command that resumes the sweeps in results folders."""
+        given = list(self.command)
+        if len(paths) == 1 and not any(word == "--out" or word.startswith("--out=") for word in given):
+            given += ["--out", str(paths[0])]
+        if "--resume" not in given:
+            given.append("--resume")
+        return shlex.join(given)
+
+    def exit_code(self, runs: Sequence[SweepRun]) -> int:
+        """The exit code. If the command was interrupted, note this and print the command that resumes it."""
+        if not self.stop:
+            return FAILURE if any(run.has_failed for run in runs) else 0
+        for run in runs:
+            if run.merged is None:
+                run.write_manifest("interrupted")
+        print(f"interrupted; to resume:\n  {self.resuming([run.path for run in runs])}", file=sys.stderr)
+        return self.stop.exit_code
