@@ -9,11 +9,9 @@ Choices that come with bojax (see `xla_choices`) are the same in every process o
 again. XLA remembers choices until the process ends, so that what was measured once is not read again.
 """
 
-import contextlib
 import hashlib
 import json
 import re
-import secrets
 import subprocess
 import sys
 import tempfile
@@ -30,7 +28,7 @@ from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program, folder_of
 from bojax.engine.xla_choices import XLA_FOLDER, measured, shipped, write, xla_folder
 from bojax.errors import FAILURE
-from bojax.results.store import link, make_folder, read_checked_json, write_checked_json
+from bojax.results.store import make_folder, publish_checked_json, read_checked_json
 
 _COPIES = frozenset({"empty", "recorded", "select"})
 """Programs that only move numbers."""
@@ -116,12 +114,7 @@ class Choices:
             with self._lock:
                 self._news()
                 published = set(self._published)
-            new = measured(published)
-            own = self.folder / f".{path.name}-{secrets.token_hex(6)}"
-            write_checked_json(own, {"program": content, "choices": new}, path.name)
-            with contextlib.suppress(FileExistsError):
-                link(own, path)  # of several processes, one succeeds
-            own.unlink()
+            publish_checked_json(path, {"program": content, "choices": measured(published)})
         return str(read_checked_json(path)["program"])
 
     def _news(self) -> dict[str, str]:

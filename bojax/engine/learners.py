@@ -1,6 +1,5 @@
 """Saved learners: collected by the chunks, merged into one tree for each point, and loaded again."""
 
-import shutil
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from bojax.results.store import (
     fingerprints,
     make_folder,
     read_checked_json,
+    remove,
     sync,
     write_checked_json,
     write_content,
@@ -85,8 +85,7 @@ def merge_learners(folder: Path, chunks: Iterable[ChunkFolder], configs: Sequenc
     for point, content in learned.stacked().items():
         target = folder / LEARNERS / point
         with explained(target):
-            if target.exists():
-                shutil.rmtree(target)
+            remove(target)
         write_learners(target, content)
         write_content(target / EXPERIMENT, dump(evaluation(configs[int(point)])))
 

@@ -25,7 +25,7 @@ from typing import Any, Literal
 import pydantic
 
 from bojax.results.chunk_folder import ChunkFolder
-from bojax.results.store import ResultsError, explained, read_json, write_json
+from bojax.results.store import ResultsError, explained, read_json, remove, write_json
 
 MOST_LOSSES = 2
 """Number of owners that a chunk may lose in a launch, in succession and without a commit, before it fails."""
@@ -230,10 +230,7 @@ class AttemptRegistry:
         """Forget how a chunk ended."""
         path = self._marker(chunk, self._ended[ending].pop(chunk), ending)
         with explained(path, "deleted"):
-            if path.is_dir() and not path.is_symlink():  # damaged
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
+            remove(path)  # a damaged one may be a folder
 
     def _marker(self, chunk: str, number: int, ending: Ending) -> Path:
         return self._work / f"{chunk}-{number}.{ending}"

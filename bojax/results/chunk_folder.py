@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from bojax.results.store import (
     link,
     read_checked_json,
     read_table,
+    remove,
     sync,
     write_arrays,
     write_checked_json,
@@ -279,12 +279,8 @@ class ChunkFolder:
         """Delete the folders of Orbax that are not committed, also those that it has not completed."""
         kept = set(map(_top, self.state.files))
         for path in [*self.path.glob(f"{_CHECKPOINT}*"), *self.path.glob(f"{_LEARNERS}*")]:
-            if path.name in kept:
-                continue
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+            if path.name not in kept:
+                remove(path)
 
     def _make_folders(self, name: str) -> None:
         """Make the folders of a file, except the chunk's own: a finished sweep must not get one again."""

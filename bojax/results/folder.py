@@ -1,6 +1,5 @@
 """The results folder of a sweep: choosing, creating, locking and resuming it without overwriting results."""
 
-import contextlib
 import os
 import secrets
 import shutil
@@ -16,7 +15,7 @@ from bojax.results.store import (
     WORK,
     ResultsError,
     explained,
-    link,
+    publish_checked_json,
     read_checked_json,
     read_manifest,
     sync,
@@ -122,13 +121,9 @@ class RunFolder:
             plan: The plan.
             device: Description of the worker's devices, which `device` then returns.
         """
-        own = self.work / f".{_PLAN}-{secrets.token_hex(6)}"
         if self.plan() is None:
             self.describe(device)
-            write_checked_json(own, plan, _PLAN)
-            with contextlib.suppress(FileExistsError):
-                link(own, self.work / _PLAN)  # of several, one succeeds
-            own.unlink()
+            publish_checked_json(self.work / _PLAN, plan)
         check_plan(
             self.path,
             self.plan() or {},

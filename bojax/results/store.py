@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -129,6 +130,14 @@ def link(source: Path, target: Path) -> None:
             sync(target)
 
 
+def remove(path: Path) -> None:
+    """Delete a file, or a folder with its content, if there is one; of a link, the link itself."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def fingerprint(path: Path) -> dict[str, Any] | None:
     """Size and SHA-256 of a file; None unless it is a regular file.
 
@@ -193,6 +202,15 @@ def write_checked_json(path: Path, content: Mapping[str, Any], name: str | None 
     """
     plain = _finite(dict(content))
     write_json(path, {**plain, CHECKSUM: _digest(plain, name or path.name)}, indent=None)
+
+
+def publish_checked_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a file as `write_checked_json` does, unless it exists: of several processes, one succeeds."""
+    own = path.with_name(f".{path.name}-{secrets.token_hex(6)}")
+    write_checked_json(own, content, path.name)
+    with suppress(FileExistsError):
+        link(own, path)
+    own.unlink()
 
 
 def read_checked_json(path: Path) -> dict[str, Any]:
