@@ -250,14 +250,10 @@ class Programs:
         return carry, tables, Status(*status)
 
     def recorded(self, tables: Mapping[str, dict[str, Array]], lanes: np.ndarray) -> dict[str, Any]:
-        """The tables of an advance, where the tables of recorded runs keep the given lanes only.
+        """The tables `[lanes, rows]` of an advance, where those of recorded runs keep the given lanes only.
 
         These lanes come first; further ones pad the columns to one length, so that one program serves any
         number of lanes.
-
-        Args:
-            tables: Tables of an advance, columns `[lanes, rows]`.
-            lanes: The lanes whose runs are recorded.
         """
         of_runs = {name: columns for name, columns in tables.items() if name in self._recorded_tables}
         if not len(lanes):

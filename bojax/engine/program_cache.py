@@ -358,13 +358,7 @@ def _hash_of(path: Path) -> bytes | None:
 
 
 def write(name: str, content: bytes, where: str = PROGRAMS) -> bool:
-    """Write an entry with a checksum over its name and content, whole or not at all.
-
-    Args:
-        name: Name of the entry.
-        content: Its content.
-        where: One of `FOLDERS`.
-    """
+    """Write an entry in one of `FOLDERS`, whole or not at all, with a checksum over its name and content."""
     folder = folder_of(where)
     if folder is None:
         return False

@@ -62,12 +62,7 @@ class Sink(abc.ABC):
 
 
 class FolderSink(Sink):
-    """Writes to the working folder of a chunk.
-
-    Args:
-        files: The working folder, opened.
-        record: Which runs are recorded.
-    """
+    """Writes to the working folder of a chunk, which is open."""
 
     def __init__(self, files: ChunkFolder, record: Record):
         self._files, self._learned = files, learners.Learned()

@@ -89,13 +89,7 @@ class MemoryStorage(Storage):
 
 
 class FolderStorage(Storage):
-    """Attempts at chunks in a results folder.
-
-    Args:
-        plan: The plan.
-        folder: The folder.
-        launch: The launch that gave this process its chunks.
-        attempts: The attempts at the chunks.
+    """Attempts at the chunks that a launch gave this process, in a results folder.
 
     Attributes:
         plan: The plan.

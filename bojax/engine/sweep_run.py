@@ -42,13 +42,7 @@ class SweepRun:
     attempts: AttemptRegistry
 
     def __init__(self, plan: Plan, target: Target, command: Sequence[str]):
-        """Create an object, without writing anything.
-
-        Args:
-            plan: The plan of the sweep.
-            target: Its results folder.
-            command: The command line, for the manifest.
-        """
+        """Create an object, without writing anything; the command line is for the manifest."""
         self.plan, self.folder, self._target = plan, RunFolder(target.path), target
         self._command = shlex.join(command)
         self.merged: Merged | None = None

@@ -56,12 +56,7 @@ class Attempt:
 
 
 class AttemptRegistry:
-    """The attempts at the chunks of a sweep, as of the last `look`; safe to use from several threads.
-
-    Args:
-        work: The working folder.
-        results: The results folder.
-    """
+    """The attempts at the chunks of a sweep, as of the last `look`; safe to use from several threads."""
 
     def __init__(self, work: Path, results: Path):
         self._work, self._results = work, results
