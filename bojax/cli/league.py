@@ -7,21 +7,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bojax.cli.parser import UsageError
-from bojax.results.folder import ROOT, require_empty
+from bojax.results.folder import dated_folder, require_empty
 from bojax.text import one_line
 
 ID = "surveys"
 """What `bojax reproduce` calls the league."""
-
-FOLDER = ROOT / ID
-"""Folder of leagues without `--out`, each named after the time of its start."""
 
 
 def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     """Run the pieces that are not there yet, write the page, and return the exit code."""
     if args.resume and not args.out:
         raise UsageError("--resume: needs --out, the folder of the league")
-    out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
+    out = args.out or dated_folder(ID)
     if not args.resume:
         require_empty(out, "give another --out, or --resume a league")
     command = " ".join(["bojax", name, *words])

@@ -1,7 +1,6 @@
 """`bojax reproduce --multiverse`: the claims of sweeps under the choices that their paper leaves open."""
 
 import sys
-import time
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,14 +10,11 @@ from bojax.cli.parser import UsageError
 from bojax.cli.running import run
 from bojax.config.errors import printable
 from bojax.engine.resolve import resolved
-from bojax.results.folder import require_empty
+from bojax.results.folder import dated_folder, require_empty
 
 if TYPE_CHECKING:
     from bojax.claims.multiverse.declaration import Declaration
     from bojax.claims.multiverse.outcomes import Multiverse
-
-FOLDER = Path("results/multiverse")
-"""Folder of the analyses without `--out`, each in a folder of its name, named after the time of its start."""
 
 PAGE = "report.html"
 
@@ -121,9 +117,10 @@ def _say(text: str) -> None:
 
 def _folder(name: str, *, resume: bool) -> Path:
     """A new folder, or the newest one of an analysis."""
-    above = FOLDER / name
+    folder = dated_folder(f"multiverse/{name}")
     if not resume:
-        return above / time.strftime("%Y%m%d-%H%M%S")
+        return folder
+    above = folder.parent
     found = sorted(above.iterdir()) if above.is_dir() else []
     if not found:
         raise UsageError(f"{above}: no analysis to resume; to start one, leave out --resume")

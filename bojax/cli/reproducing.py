@@ -14,10 +14,10 @@ from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_sweep
 from bojax.config.thesis import ALL, sweeps_of
 from bojax.engine.resolve import resolved
-from bojax.results.folder import is_unfinished, require_empty
+from bojax.results.folder import ROOT, dated_folder, is_unfinished, require_empty
 
-FOLDER = Path("results/reproduction")
-"""Folder of reproductions without `--out`, each named after the time of its start."""
+NAME = "reproduction"
+"""Name of the folder in `results` that has the reproductions without `--out`."""
 
 _DESCRIPTION = """\
 Run the sweeps of the thesis as one plan, and write the report of each sweep, one page with all claims, and a
@@ -79,7 +79,7 @@ def main(name: str, words: Sequence[str]) -> int:
     check_launching(args)
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
     names = [sweep.name for sweep in sweeps]
-    out = args.out or (_newest(FOLDER, names) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
+    out = args.out or (_newest(ROOT / NAME, names) if args.resume else dated_folder(NAME))
     if args.out and not args.resume:
         require_empty(out, "give another --out, or --resume a reproduction")
     folders = [out / name for name in names]
@@ -104,7 +104,7 @@ def _join(args: Namespace) -> int:
     from bojax.claims.reproduction import PAGE, TEXT, joined_reproduction
     from bojax.report.verdicts import in_words
 
-    out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
+    out = args.out or dated_folder(NAME)
     pages = [out] if out.suffix in (".html", ".md") else [out / TEXT, out / PAGE]
     claims = joined_reproduction(pages, args.page, selected([ALL]), args.count_in)
     print(in_words(claims), file=sys.stderr)
@@ -156,7 +156,7 @@ def _parser(name: str) -> Parser:
         _EXAMPLES,
     )
     parser.option("ids", "ID", "sweeps, figures, tables, chapters, or all", nargs="*")
-    out = f"folder of the results, or with --page also an .html or .md file (default: {FOLDER}/TIME)"
+    out = f"folder of the results, or with --page also an .html or .md file (default: {ROOT / NAME}/TIME)"
     add_running(parser, out, "go on with interrupted or failed sweeps")
     page = "run nothing, but make the page from these results"
     parser.option("--page", "DIR", page, path, nargs="+", action="extend", default=[])
