@@ -10,6 +10,7 @@ Learning at the Edge of the Statistical Precipice (NeurIPS), recommend for a few
 Random numbers come from one fixed seed, so that the same table gives the same report.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -54,9 +55,9 @@ _BLOCK_CELLS = 2_000_000
 class Interval:
     """An estimate and the bounds of its interval: NaN without data; a single run has no bounds."""
 
-    estimate: float
-    low: float
-    high: float
+    estimate: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
 
     def in_words(self, *, as_percent: bool = False) -> tuple[str, str]:
         """The estimate and `[low, high]` as texts; a share as percentages."""
@@ -86,12 +87,6 @@ def at_tail(tail: float) -> Iterator[None]:
 
 
 NO_INTERVAL = "(no interval)"  # text in place of the bounds of a single run
-
-_UNKNOWN = Interval(float("nan"), float("nan"), float("nan"))
-
-
-def _unbounded(estimate: float) -> Interval:
-    return Interval(estimate, float("nan"), float("nan"))
 
 
 def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES) -> Floats:
@@ -207,7 +202,7 @@ def interval_of_means(
     n = len(table)
     estimate = float(statistic(table.mean(axis=0)))
     if n < 2:
-        return _unbounded(estimate)
+        return Interval(estimate)
     if n >= FEW:
         return Interval(
             estimate, *central(statistic(bootstrap_means(table) if resampled is None else resampled), tail)
@@ -233,7 +228,7 @@ def _once(interval: Callable[..., Interval]) -> Callable[..., Interval]:
 def mean_interval(values: Floats) -> Interval:
     """Mean of `[n]` values with its interval; NaN for no value or a NaN among them."""
     if values.size == 0 or not np.isfinite(values).all():
-        return _UNKNOWN
+        return Interval()
     return interval_of_means(lambda means: means, values)
 
 
@@ -259,7 +254,7 @@ def ratio_interval(numerator: Floats, denominator: Floats) -> Interval:
     """
     table = np.stack([numerator, denominator], axis=1)
     if table.size == 0 or not np.isfinite(table).all() or not (means := bootstrap_means(table)).min() > 0:
-        return _UNKNOWN
+        return Interval()
     return interval_of_means(
         lambda means: means[..., 0] / means[..., 1], table, is_ratio=True, resampled=means
     )
@@ -275,13 +270,13 @@ def iqm_interval(strata: Sequence[ArrayLike]) -> Interval:
     tables = [np.asarray(values, dtype=np.float64) for values in strata]
     pooled = np.concatenate(tables) if tables else np.empty(0)
     if not pooled.size or not np.isfinite(pooled).all():
-        return _UNKNOWN
+        return Interval()
     order = np.argsort(pooled)
     cut = int(TRIMMED * pooled.size)
     ranked, means = pooled[order], []
     estimate = float(ranked[cut : pooled.size - cut].mean())
     if min(table.size for table in tables) < 2:
-        return _unbounded(estimate)
+        return Interval(estimate)
     for block in _strata_counts([table.size for table in tables], range(len(tables))):
         # A resample repeats each sorted value as often as it was drawn; the middle ranks of it are kept.
         ends = np.cumsum(np.concatenate(block, axis=1)[:, order], axis=1)
@@ -309,14 +304,14 @@ def improvement_interval(strata: Sequence[tuple[ArrayLike, ArrayLike]], *, is_pa
     tables = [tuple(np.asarray(each, dtype=np.float64) for each in pair) for pair in strata]
     values = [each for pair in tables for each in pair]
     if not values or not all(each.size and np.isfinite(each).all() for each in values):
-        return _UNKNOWN
+        return Interval()
     ones = [np.ones((1, each.size)) for each in values]
     shares = np.array(
         [_improvement(*pair, *drawn)[0] for pair, *drawn in zip(tables, ones[::2], ones[1::2], strict=True)]
     )
     estimate, fewest = float(shares.mean()), min(each.size for each in values)
     if fewest < 2:
-        return _unbounded(estimate)
+        return Interval(estimate)
     if fewest < FEW:
         bounds = [_score_bounds(share, *map(len, pair)) for share, pair in zip(shares, tables, strict=True)]
         low, high = (np.sqrt(((side - shares) ** 2).sum()) / shares.size for side in np.transpose(bounds))
@@ -433,7 +428,7 @@ def share_difference(successes: int, trials: int, other_successes: int, other_tr
     NaN if there are no trials of one of them.
     """
     if not (trials and other_trials):
-        return _UNKNOWN
+        return Interval()
     first, second = successes / trials, other_successes / other_trials
     (low, high), (other_low, other_high) = wilson(successes, trials), wilson(other_successes, other_trials)
     below = np.hypot(first - low, other_high - second)
@@ -461,7 +456,7 @@ def paired_shares(
     table, weight = np.asarray(flags, dtype=np.float64), np.asarray(weights, dtype=np.float64)
     n, hits = len(table), table.sum(axis=0)
     if not n or (is_ratio and not hits.all()):
-        return _UNKNOWN
+        return Interval()
     scale, back = (np.log, np.exp) if is_ratio else (np.asarray, np.asarray)
     ends = weight * scale(np.stack(wilson(hits, n, tail)))
     each = weight * scale(hits / n)

@@ -142,9 +142,9 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
         for each in methods
     ]
     iqms = [statistics.iqm_interval([each.scores]) for each in methods]
-    unknown = statistics.mean_interval([])
     better = [
-        unknown if each is reference else tables.improvement([(each, reference)], measure) for each in methods
+        statistics.Interval() if each is reference else tables.improvement([(each, reference)], measure)
+        for each in methods
     ]
     if not any(np.isfinite(interval.estimate) for interval in (*means, *iqms)):
         raise FigureUnavailable("no method has scores of all its runs")

@@ -131,7 +131,7 @@ def difference(method: Method, reference: Method) -> Interval:
     first, second = method.scores, reference.scores
     is_known = np.isfinite(first).all() and np.isfinite(second).all()
     if min(first.size, second.size) < 2 or not is_known:
-        return statistics.mean_interval([])
+        return Interval()
     is_share = method.is_share and reference.is_share
     if method.is_paired_with(reference):
         both = np.stack([first, second], axis=1)
