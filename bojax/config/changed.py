@@ -54,7 +54,7 @@ def _differences(published: Sweep, ours: Sweep) -> Iterator[tuple[str, tuple[Any
             for name in point.swept.keys() | other.swept.keys()
             if point.swept.get(name, _MISSING) != other.swept.get(name, _MISSING)
         ]
-        before, after = (dict(_leaves(p.config.model_dump(mode="json"))) for p in (other, point))
+        before, after = (dict(leaves(p.config.model_dump(mode="json"))) for p in (other, point))
         for path in dict.fromkeys((*before, *after)):
             values = before.get(path), after.get(path)
             if values[0] != values[1] and not any(f"{path}.".startswith(f"{axis}.") for axis in axes):
@@ -71,13 +71,13 @@ def _key(point: Point) -> str:
     return json.dumps(point.swept, sort_keys=True, default=str)
 
 
-def _leaves(config: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(config: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """The plain settings of a nested mapping, by dotted path."""
     if not isinstance(config, Mapping):
         yield path, config
         return
     for name, value in config.items():
-        yield from _leaves(value, f"{path}.{name}" if path else name)
+        yield from leaves(value, f"{path}.{name}" if path else name)
 
 
 def _values(points: list[dict[str, Any]], axis: str) -> list[Any] | None:

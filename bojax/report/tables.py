@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from bojax.config.changed import leaves
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
 from bojax.report.ranking import Standing, measure_of, ranking
@@ -229,13 +230,9 @@ def settings(results: Results) -> tuple[list[tuple[str, str]], list[tuple[str, l
     return common, [(point.name, rows) for point, rows in zip(results.points, own, strict=True)]
 
 
-def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def flatten(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A nested mapping as dotted paths and values."""
-    rows = []
-    for key, value in config.items():
-        path = f"{prefix}{key}"
-        rows += flatten(value, f"{path}.") if isinstance(value, Mapping) else [(path, plain(value))]
-    return rows
+    return [(path, plain(value)) for path, value in leaves(config)]
 
 
 def _measures(results: Results) -> list[_Measure]:
