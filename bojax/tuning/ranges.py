@@ -11,6 +11,7 @@ from bojax.config.errors import ConfigError
 from bojax.config.overrides import SOURCE, parse_overrides
 from bojax.config.settings import RESERVED
 from bojax.optimisation.space import Axis, Choice, Range
+from bojax.report.text import is_number
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"(?P<key>[^=]+)=(?P<low>{_NUMBER}):(?P<high>{_NUMBER})(?P<log>:log)?")
@@ -85,7 +86,7 @@ def axis_of(asked: Asked, configs: Sequence[Component]) -> Axis:
             raise ConfigError(f"{got}choices that differ, such as planner=kcbts,sbo")
         return Choice(asked.key, tuple(values))
     low, high = values
-    if not (_is_number(low) and _is_number(high)):
+    if not (is_number(low) and is_number(high)):
         raise ConfigError(f"{got}the range of a number, such as {EXAMPLE}")
     is_integer = isinstance(low, int) and isinstance(high, int)
     return Range(asked.key, low, high, asked.is_log, is_integer)
@@ -106,11 +107,7 @@ def value_at(config: Component, key: str) -> Any:
     return value if isinstance(value, int | float | str) else None
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def described(axes: Sequence[Axis], values: Sequence[Any]) -> str:
     """Values with their keys, in one line."""
-    shown = (f"{value:g}" if _is_number(value) else str(value) for value in values)
+    shown = (f"{value:g}" if is_number(value) else str(value) for value in values)
     return ", ".join(f"{each.key} {text}" for each, text in zip(axes, shown, strict=True))
