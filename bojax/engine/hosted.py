@@ -5,7 +5,6 @@ is kept between episodes, so a checkpoint has the same content as for a compiled
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -95,8 +94,27 @@ class Hosted(Programs):
         self._close = self._program(_close)
 
     def _phase_programs(self, phase_of: Callable) -> PhasePrograms:
-        functions = (_seed, _begin, _act, _apply, _flush)
-        return PhasePrograms(*(self._program(partial(function, phase_of)) for function in functions))
+        def program(method: Callable) -> Callable:
+            """A program that calls `method(phase, carry, *rest)`."""
+            return self._program(
+                lambda run, carry, number, *rest: method(phase_of(run, carry, number), carry, *rest)
+            )
+
+        return PhasePrograms(
+            seed=program(lambda phase, carry: seed_of(phase.reset_key)),
+            begin=program(
+                lambda phase, carry, learner, observation: phase.begin(
+                    learner, None, observation, ~carry.is_done
+                )
+            ),
+            act=program(lambda phase, carry, episode, step: phase.act(_keys(phase, step)[0], episode)),
+            apply=program(
+                lambda phase, carry, episode, choice, time_step, step: phase.apply(
+                    _keys(phase, step)[2], episode, choice, None, time_step, step
+                )
+            ),
+            flush=program(lambda phase, carry, episode: phase.flush(episode)),
+        )
 
     def _program(self, function: Callable) -> Callable:
         """A program that applies `function(run, *arrays)`, written for one lane, to every lane."""
@@ -145,28 +163,6 @@ class Hosted(Programs):
 def seed_of(key: Key[Array, ""]) -> Array:
     """The seed with which an environment on the host is reset, a number of 31 bits."""
     return jax.random.bits(key, dtype=jnp.uint32) >> 1
-
-
-def _seed(phase_of, run: LearningRun, carry, number):
-    return seed_of(phase_of(run, carry, number).reset_key)
-
-
-def _begin(phase_of, run: LearningRun, carry, number, learner, observation):
-    return phase_of(run, carry, number).begin(learner, None, observation, ~carry.is_done)
-
-
-def _act(phase_of, run: LearningRun, carry, number, episode, step):
-    phase = phase_of(run, carry, number)
-    return phase.act(_keys(phase, step)[0], episode)
-
-
-def _apply(phase_of, run: LearningRun, carry, number, episode, choice, time_step, step):
-    phase = phase_of(run, carry, number)
-    return phase.apply(_keys(phase, step)[2], episode, choice, None, time_step, step)
-
-
-def _flush(phase_of, run: LearningRun, carry, number, episode):
-    return phase_of(run, carry, number).flush(episode)
 
 
 def _keys(phase, step):
