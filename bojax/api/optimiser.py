@@ -200,10 +200,8 @@ def minimise(
         ObjectiveError: The function raised an error or returned no number; the `result` of this error has
             what was found before.
     """
-    optimiser = _begun(
-        function, space, budget, batch, known, maximise=False, noisy=noisy, initial=initial, seed=seed
-    )
-    return _optimised(optimiser, function, budget, workers, progress)
+    settings = {"maximise": False, "noisy": noisy, "initial": initial, "seed": seed}
+    return _optimised(function, space, budget, batch, known, workers, progress, settings)
 
 
 def maximise(
@@ -221,33 +219,27 @@ def maximise(
     progress: bool = True,
 ) -> OptimisationResult:
     """Find the greatest value of a function; everything else is as in `bojax.minimise`."""
-    optimiser = _begun(
-        function, space, budget, batch, known, maximise=True, noisy=noisy, initial=initial, seed=seed
-    )
-    return _optimised(optimiser, function, budget, workers, progress)
+    settings = {"maximise": True, "noisy": noisy, "initial": initial, "seed": seed}
+    return _optimised(function, space, budget, batch, known, workers, progress, settings)
 
 
-def _begun(
+def _optimised(
     function: Callable[..., float],
     space: Mapping[str, Any],
     budget: int,
     batch: int,
     known: Iterable[tuple[Mapping[str, Any], float]],
-    **settings: Any,
-) -> Optimiser:
-    """An optimiser with room for all evaluations, and the known ones."""
+    workers: Workers,
+    progress: bool,
+    settings: Mapping[str, Any],
+) -> OptimisationResult:
+    """Optimise with an `Optimiser` that has room for all evaluations, and the known ones."""
     if not callable(function):
         raise ValueError(f"function: got {shown(function)}; allowed: a function")
     known = list(known)
     batch, capacity = min(_count("batch", batch), _count("budget", budget)), budget + len(known)
     optimiser = Optimiser(space, batch=batch, capacity=capacity, **settings)
     optimiser.tell_batch([point for point, _ in known], [value for _, value in known])
-    return optimiser
-
-
-def _optimised(
-    optimiser: Optimiser, function: Callable[..., float], budget: int, workers: Workers, progress: bool
-) -> OptimisationResult:
     if not callable(workers):
         raise ValueError(f"workers: got {shown(workers)}; allowed: a function such as pool.map")
     done = 0
