@@ -20,7 +20,7 @@ from bojax.config.component import External
 from bojax.films.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
 from bojax.films.recorded import Drive, Leg
 from bojax.films.scenes import RobotScene
-from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.domains import draw_outline, fit_square
 from bojax.report.drawing.maps import QUIET, draw_map
 from bojax.report.drawing.smooth import smooth
 from bojax.report.statistics import Floats
@@ -202,13 +202,7 @@ def _poses(leg: Leg, is_free: bool) -> Floats:
 def _fit(axes: Axes, drive: Drive) -> None:
     """Set limits that show all paths, plans and shapes of a problem without a border."""
     shown = [leg.poses for leg in drive.legs] + [leg.plan for leg in drive.legs if leg.plan is not None]
-    points = np.concatenate([drive.legs[0].before[None], *shown])[:, :2]
-    if axes.patches:  # obstacles and goals
-        points = np.concatenate([points, axes.dataLim.get_points()])
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    half = 0.55 * max(float(np.ptp(points, axis=0).max()), 1.0)
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+    fit_square(axes, np.concatenate([drive.legs[0].before[None], *shown])[:, :2], 1.0)
 
 
 def _robot_of(drive: Drive, path: Path | None) -> "tuple[RobotModel, bool]":

@@ -80,6 +80,19 @@ def tick_outline(axes: Axes, outline: Outline) -> None:
             axis.set_ticks(places, [minus(f"{place:g}") for place in places])
 
 
+def fit_square(axes: Axes, points: np.ndarray, least: float) -> None:
+    """Set square limits that show points `[N, 2]` and the shapes of a world without a border.
+
+    Without a margin, the square has a side of `least` or more.
+    """
+    if axes.patches:  # obstacles and goals
+        points = np.concatenate([points, axes.dataLim.get_points()])
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    half = 0.55 * max(float(np.ptp(points, axis=0).max()), least)
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+
+
 def is_speck(outline: Outline, shape: Sequence[float]) -> bool:
     """Whether a goal is a disc too small to be seen on the scale of the domain."""
     if outline.border is None or len(shape) != 3:

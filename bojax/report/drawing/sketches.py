@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report.columns import Arrays
-from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.domains import draw_outline, fit_square
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.style import BLUE, GREEN, ORANGE, PINK, drawn_text
@@ -56,13 +56,7 @@ def set_stage(axes: Axes, sketch: Sketch, outline: Outline) -> None:
         axes.yaxis.set_major_locator(MaxNLocator(5, integer=not np.any(values % 1.0)))
         return
     if outline.border is None:
-        points = np.concatenate([rows.reshape(-1, 2) for rows in sketch.values()])
-        if axes.patches:  # obstacles and goals
-            points = np.concatenate([points, axes.dataLim.get_points()])
-        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        half = 0.55 * max(float(np.ptp(points, axis=0).max()), 1e-6)
-        axes.set_xlim(middle[0] - half, middle[0] + half)
-        axes.set_ylim(middle[1] - half, middle[1] + half)
+        fit_square(axes, np.concatenate([rows.reshape(-1, 2) for rows in sketch.values()]), 1e-6)
     axes.set_xticks([])
     axes.set_yticks([])
 
