@@ -101,18 +101,12 @@ class Functions:
 
 
 class Programs:
-    """The programs of one static group for a number of lanes on one device.
+    """The programs of one static group for a number of lanes on one device."""
 
-    Attributes:
-        num_lanes: Number of lanes.
-        device: The device.
-        max_advances: Number of advances after which a run is done.
-        compile_seconds: Seconds spent on tracing and compiling, or on loading.
-        is_saved: Whether other devices and later sweeps can load the programs.
-    """
-
-    _is_compiled: ClassVar[bool] = True
-    """Whether an advance is one compiled program."""
+    max_advances: int  # number of advances after which a run is done
+    compile_seconds: float  # spent on tracing and compiling, or on loading
+    is_saved: bool  # whether other devices and later sweeps can load the programs
+    _is_compiled: ClassVar[bool] = True  # whether an advance is one compiled program
 
     def __init__(
         self,

@@ -64,11 +64,7 @@ def execute(
 
 
 class _Executor:
-    """The threads of one machine, and the lock around the scheduler that they share.
-
-    Attributes:
-        error: An error that ends the sweep: of the results folder, or a mistake in the engine.
-    """
+    """The threads of one machine, and the lock around the scheduler that they share."""
 
     def __init__(
         self,
@@ -77,6 +73,7 @@ class _Executor:
         progress: SweepProgress,
         stop: Callable[[], bool],
     ):
+        # An error that ends the sweep: of the results folder, or a mistake in the engine
         self.error: BaseException | None = None
         self._progress, self._num_tasks, self._is_closed = progress, len(tasks), False
         self._stop = lambda: self._is_closed or self.error is not None or stop()

@@ -125,18 +125,13 @@ class FolderSink(Sink):
 
 
 class MemorySink(Sink):
-    """Keeps everything in memory.
-
-    Attributes:
-        tables: The pieces of each table.
-        snapshots: The named arrays of each `(point, run, name, when)`.
-        learned: The exported state of the learner of each `(point, run)`.
-    """
+    """Keeps everything in memory."""
 
     def __init__(self, *, recorded_runs: int = 0, saved_learners: int = 0):
         self.state = ChunkState()
         self.recorded_runs, self.saved_learners = recorded_runs, saved_learners
-        self.tables: dict[str, list[pa.Table]] = {}
+        self.tables: dict[str, list[pa.Table]] = {}  # the pieces of each table
+        # Named arrays by point, run, name and when; states of learners by point and run
         self.snapshots: dict[tuple[int, int, str, str], dict[str, np.ndarray]] = {}
         self.learned: dict[tuple[int, int], PyTree] = {}
         self._checkpoint: Carry | None = None

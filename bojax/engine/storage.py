@@ -65,15 +65,11 @@ class MemoryStorage(Storage):
 
     Args:
         new_sink: Makes a place for the rows of a chunk.
-
-    Attributes:
-        sinks: What the chunks have produced, by index.
-        errors: The errors of chunks that failed.
     """
 
     def __init__(self, new_sink: Callable[[], MemorySink] = MemorySink):
-        self.sinks: dict[int, MemorySink] = {}
-        self.errors: list[BaseException] = []
+        self.sinks: dict[int, MemorySink] = {}  # what the chunks have produced, by index
+        self.errors: list[BaseException] = []  # of chunks that failed
         self._new_sink = new_sink
 
     @override
@@ -89,19 +85,13 @@ class MemoryStorage(Storage):
 
 
 class FolderStorage(Storage):
-    """Attempts at the chunks that a launch gave this process, in a results folder.
-
-    Attributes:
-        plan: The plan.
-        folder: The folder.
-        failures: Number of chunks that failed in this process.
-    """
+    """Attempts at the chunks that a launch gave this process, in a results folder."""
 
     def __init__(self, plan: Plan, folder: RunFolder, launch: Launch, attempts: AttemptRegistry):
         self.plan, self.folder, self._launch, self._attempts = plan, folder, launch, attempts
         if plan.device["platform"] != "cpu":
             self.choices = Choices(folder.choices)
-        self.failures = 0
+        self.failures = 0  # number of chunks that failed in this process
         self._open: dict[Chunk, ChunkFolder] = {}
         self._owner = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}"
         self._compiled: dict[int, float] = defaultdict(float)

@@ -29,26 +29,18 @@ from bojax.results.store import MANIFEST, write_json
 
 
 class SweepRun:
-    """A sweep in its results folder, from its first file to its last.
+    """A sweep in its results folder, from its first file to its last."""
 
-    Attributes:
-        plan: The plan of the sweep.
-        folder: The working files in the results folder.
-        attempts: The attempts at the chunks, once the folder is open.
-        merged: What merging has found; None before.
-        planned: Time at which the object was created.
-    """
-
-    attempts: AttemptRegistry
+    attempts: AttemptRegistry  # the attempts at the chunks, once the folder is open
 
     def __init__(self, plan: Plan, target: Target, command: Sequence[str]):
         """Create an object, without writing anything; the command line is for the manifest."""
         self.plan, self.folder, self._target = plan, RunFolder(target.path), target
         self._command = shlex.join(command)
-        self.merged: Merged | None = None
+        self.merged: Merged | None = None  # what merging has found
         self._outlines = [outline_of(module) for module in plan.modules]
         self._files: Mapping[int, ChunkFolder] = {}
-        self.planned = time.monotonic()
+        self.planned = time.monotonic()  # when the object was created
         self._times: dict[str, float] = {}
         self._progress: dict[int, GroupProgress] = {}
 

@@ -18,40 +18,24 @@ from bojax.experiments.base import Experiment
 
 @dataclass(eq=False)
 class GroupTask:
-    """The unfinished chunks of a static group.
-
-    Attributes:
-        group: The group.
-        experiment: An experiment of the group.
-        name: Name for messages.
-        seed: Seed of the sweep.
-        layout: How the runs are advanced.
-        platform: Platform of the devices that they are planned for.
-        chunks: Chunks that no thread has taken yet.
-        limits: When a chunk pauses.
-        storage: Where the rows of the chunks go.
-        recorded: Largest number of recorded runs of a chunk.
-        running: Number of chunks that threads have taken.
-        rank: Its place in the order of compilation.
-        progress: When it is compiled and run.
-    """
+    """The unfinished chunks of a static group."""
 
     group: StaticGroup
-    experiment: Experiment
-    name: str
-    seed: int
-    layout: Layout
-    platform: str
-    chunks: deque[Chunk]
-    limits: Limits
-    storage: Storage
-    recorded: int = 0
-    running: int = field(default=0, init=False)
-    rank: int = field(default=0, init=False)
+    experiment: Experiment  # one of the group
+    name: str  # for messages
+    seed: int  # of the sweep
+    layout: Layout  # how the runs are advanced
+    platform: str  # of the devices that they are planned for
+    chunks: deque[Chunk]  # those that no thread has taken yet
+    limits: Limits  # when a chunk pauses
+    storage: Storage  # where the rows of the chunks go
+    recorded: int = 0  # largest number of recorded runs of a chunk
+    running: int = field(default=0, init=False)  # number of chunks that threads have taken
+    rank: int = field(default=0, init=False)  # its place in the order of compilation
 
     def __post_init__(self):
         self.functions = Functions(self.group)
-        self.progress = GroupProgress(self.name)
+        self.progress = GroupProgress(self.name)  # when it is compiled and run
 
     @property
     def most_steps(self) -> int:

@@ -82,10 +82,6 @@ class ChunkFolder:
     The state file is replaced atomically, after the files that it lists have been written. Other files are
     ignored: the next attempt at the chunk inherits only listed files. A listed file is verified by its
     checksum before it is used.
-
-    Attributes:
-        path: The folder.
-        state: The state as committed, with the changes since then.
     """
 
     def __init__(self, path: Path, results: Path, chunk: str | None = None):
@@ -97,7 +93,7 @@ class ChunkFolder:
             chunk: Name of the chunk; by default, the name of the folder.
         """
         self.path = path
-        self.state = ChunkState()
+        self.state = ChunkState()  # as committed, with the changes since then
         self._chunk = chunk or path.name
         self._results = results
         self._new: list[str] = []
