@@ -3,13 +3,13 @@
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from bojax.config.errors import printable
+from bojax.config.sweep import Sweep
 from bojax.engine.batch import run_key
 from bojax.engine.build import build
 from bojax.envs.base import Env
@@ -23,9 +23,6 @@ from bojax.results.store import write_table
 from bojax.results.tables import to_arrow
 from bojax.text import error_line
 
-if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
-
 HOLDS = (1, 8)
 """Numbers of steps for which actions are repeated."""
 
@@ -37,7 +34,7 @@ MOST_SECONDS = 20.0
 """Longest time for all runs, as the first call predicts it; there is no baseline if it would take longer."""
 
 
-def write_baseline(sweep: "Sweep", folder: Path) -> None:
+def write_baseline(sweep: Sweep, folder: Path) -> None:
     """Write the baseline of a finished learning run into its results folder, unless it is there.
 
     There is none of learners that do not train or are random, or if a step of the environment is slow: of a

@@ -2,19 +2,17 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bojax.config.changed import changed_from_published
 from bojax.config.errors import ConfigError
+from bojax.config.sweep import Sweep
 from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
 from bojax.engine.plan import plain
 from bojax.engine.provenance import git_revision, versions
 from bojax.results.chunk_folder import ChunkState
 from bojax.text import error_line
-
-if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
 
 States = Sequence[tuple[Chunk, ChunkState]]
 """Every chunk of the sweep with its state."""
@@ -35,7 +33,7 @@ def outline_of(module: Any) -> dict[str, Any]:
 
 
 def describe_sweep(
-    sweep: "Sweep",
+    sweep: Sweep,
     plan: Mapping[str, Any],
     outlines: Sequence[Mapping[str, Any]],
     command: str,

@@ -5,9 +5,10 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bojax.config.limits import CHUNKS
+from bojax.config.sweep import Point, Sweep
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
 from bojax.engine.devices import Device, on_cpu, suited
@@ -17,15 +18,12 @@ from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
 from bojax.numerics.pallas import for_another_machine
 
-if TYPE_CHECKING:
-    from bojax.config.sweep import Point, Sweep
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """What a sweep computes, divided into chunks."""
 
-    sweep: "Sweep"
+    sweep: Sweep
     modules: Sequence[Experiment]  # the experiment of each point
     groups: Sequence[StaticGroup]
     layouts: Sequence[Layout]  # how the runs of each group are divided and advanced
@@ -45,7 +43,7 @@ class Plan:
         return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
 
 
-def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
+def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
     """Build, group and divide the points of a sweep.
 
     Args:
@@ -64,7 +62,7 @@ def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
     return _make_plan(sweep, modules, groups, device_description(used))
 
 
-def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:
+def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:
     """The plan that a worker has made of a sweep, on a machine that may have none of its devices.
 
     Args:
@@ -82,7 +80,7 @@ def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapp
         return replace(_make_plan(of_worker, *_grouped(of_worker), device), sweep=sweep)
 
 
-def _grouped(sweep: "Sweep") -> tuple[list[Experiment], list[StaticGroup]]:
+def _grouped(sweep: Sweep) -> tuple[list[Experiment], list[StaticGroup]]:
     """The experiment of each point, and the groups of these experiments."""
     with on_cpu():  # the numbers of a point become NumPy arrays, which go to the device group by group
         modules = [_build(sweep, point) for point in sweep.points]
@@ -90,7 +88,7 @@ def _grouped(sweep: "Sweep") -> tuple[list[Experiment], list[StaticGroup]]:
 
 
 def _make_plan(
-    sweep: "Sweep",
+    sweep: Sweep,
     modules: Sequence[Experiment],
     groups: Sequence[StaticGroup],
     device: Mapping[str, Any],
@@ -111,14 +109,14 @@ def _make_plan(
     return Plan(sweep, modules, groups, layouts, _cut(sweep, groups, layouts, content), device, content)
 
 
-def _build(sweep: "Sweep", point: "Point") -> Experiment:
+def _build(sweep: Sweep, point: Point) -> Experiment:
     """The module of a point; its errors name the file or the command line that gave the setting."""
     locate = functools.partial(sweep.locate, point.index)
     return build(point.config, getattr(point.config, "dtype", "float64"), locate)
 
 
 def _cut(
-    sweep: "Sweep", groups: Sequence[StaticGroup], layouts: Sequence[Layout], content: Mapping[str, Any]
+    sweep: Sweep, groups: Sequence[StaticGroup], layouts: Sequence[Layout], content: Mapping[str, Any]
 ) -> list[Chunk]:
     configs = [point["config"] for point in content["points"]]
     context = {key: content[key] for key in ("seed", "record", "device", "versions", "code")}
@@ -134,7 +132,7 @@ def _cut(
 
 
 def _content(
-    sweep: "Sweep",
+    sweep: Sweep,
     modules: Sequence[Experiment],
     device: Mapping[str, Any],
     groups: Sequence[StaticGroup],

@@ -4,10 +4,11 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bojax.config.errors import ConfigError, printable
 from bojax.config.settings import Platform
+from bojax.config.sweep import Sweep
 from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely
@@ -16,9 +17,6 @@ from bojax.engine.sweep_run import Invocation, SweepRun
 from bojax.engine.targets import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
 from bojax.errors import UserError
-
-if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
 
 
 def run_sweeps(
@@ -84,7 +82,7 @@ def _run(
             run.close()
 
 
-def _common_device(sweeps: Sequence["Sweep"]) -> Platform:
+def _common_device(sweeps: Sequence[Sweep]) -> Platform:
     """The device that all sweeps ask for."""
     asked = {sweep.engine.device: sweep.name for sweep in sweeps}
     if len(asked) > 1:

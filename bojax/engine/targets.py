@@ -4,9 +4,10 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bojax.config.errors import printable
+from bojax.config.sweep import Sweep
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.plan import Plan, make_plan
 from bojax.results.folder import (
@@ -18,15 +19,12 @@ from bojax.results.folder import (
     is_unfinished,
 )
 
-if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
-
 
 @dataclass(frozen=True)
 class Request:
     """A sweep to run."""
 
-    sweep: "Sweep"  # the sweep, with resolved import paths
+    sweep: Sweep  # the sweep, with resolved import paths
     out: Path | None  # the results folder; None for `results/<name>/<timestamp>`
 
 
@@ -34,7 +32,7 @@ class Request:
 class Target:
     """A sweep with its results folder."""
 
-    sweep: "Sweep"
+    sweep: Sweep
     path: Path  # the results folder
     is_resumed: bool  # whether the sweep has begun there
     may_rename: bool  # whether a new folder whose name is taken gets a number appended to the name
