@@ -57,58 +57,54 @@ def read_all(*left_out: Collection[str]) -> Choices:
     Args:
         left_out: Collections of names.
     """
-    folder = xla_folder()
+    folder, found = xla_folder(), {}
     with _reading:
         files = {} if folder is None else _files(str(folder))
-        found = {name: _content_of(files[name]) for name in sorted(set(files).difference(*left_out))}
-    return {name: content for name, content in found.items() if content is not None}
+        for name in sorted(set(files).difference(*left_out)):
+            with contextlib.suppress(OSError):  # it was deleted meanwhile
+                found[name] = _content_of(files[name].path, files[name].inode())
+    return found
 
 
 _reading = threading.Lock()
-_listed: dict[str, tuple[int, dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]] = {}
-"""The time of the last change of a folder, XLA's files in it by their paths, and the folders in it."""
-
-_contents: dict[tuple[str, int], str] = {}
-"""The contents of files, by path and inode: XLA writes a file whole, under another name first."""
 
 _CLOCK_NS = 2_000_000_000
 """Time after which a further change of a folder is sure to have another time than the last one."""
 
 
-def _content_of(entry: os.DirEntry[str]) -> str | None:
-    """The content of a file in base64; None if it cannot be read."""
-    key = entry.path, entry.inode()
-    if key not in _contents:
-        with contextlib.suppress(OSError):
-            _contents[key] = base64.b64encode(Path(entry.path).read_bytes()).decode()
-    return _contents.get(key)
+@functools.cache
+def _content_of(path: str, inode: int) -> str:
+    """The content of a file in base64. XLA writes a file whole, under another name first."""
+    del inode  # for the cache
+    return base64.b64encode(Path(path).read_bytes()).decode()
 
 
 def _files(folder: str, prefix: str = "") -> dict[str, os.DirEntry[str]]:
     """XLA's files below a folder, by their paths in it."""
-    files, folders = _entries_of(folder, prefix)
-    found = dict(files)
-    for each in folders:
-        found |= _files(each.path, f"{prefix}{each.name}/")
+    found: dict[str, os.DirEntry[str]] = {}
+    with contextlib.suppress(OSError):
+        now, changed = time.time_ns(), os.stat(folder).st_mtime_ns
+        files, folders = _listed(folder, prefix, changed if abs(now - changed) > _CLOCK_NS else now)
+        found |= files
+        for each in folders:
+            found |= _files(each.path, f"{prefix}{each.name}/")
     return found
 
 
-def _entries_of(folder: str, prefix: str) -> tuple[dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]:
-    """XLA's files in a folder, and the folders in it; listed again only if the folder has changed."""
+@functools.lru_cache(64)
+def _listed(
+    folder: str, prefix: str, changed: int
+) -> tuple[dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]:
+    """XLA's files in a folder as of its last change, and the folders in it."""
+    del changed  # for the cache
     files, folders = {}, []
-    with contextlib.suppress(OSError):
-        now, changed = time.time_ns(), os.stat(folder).st_mtime_ns
-        if folder in _listed and _listed[folder][0] == changed:
-            return _listed[folder][1:]
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                name = prefix + entry.name
-                if entry.is_dir(follow_symlinks=False):
-                    folders.append(entry)
-                elif name.endswith((".pb", ".textproto")) and _IS_SAFE.fullmatch(name):
-                    files[name] = entry
-        if abs(now - changed) > _CLOCK_NS:
-            _listed[folder] = changed, files, folders
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            name = prefix + entry.name
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(entry)
+            elif name.endswith((".pb", ".textproto")) and _IS_SAFE.fullmatch(name):
+                files[name] = entry
     return files, folders
 
 
