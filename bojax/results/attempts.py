@@ -136,11 +136,7 @@ class AttemptRegistry:
         return str(self.note(chunk, "failed").get("error", "for a reason that is damaged"))
 
     def committed(self, chunk: str) -> ChunkFolder | None:
-        """The files of a chunk: of the newest complete attempt, or else of the newest one with a commit.
-
-        Raises:
-            ResultsError: A committed file is missing or has changed.
-        """
+        """The files of a chunk: of the newest complete attempt, or else of the newest one with a commit."""
         numbers = sorted(self._numbers.get(chunk, ()), reverse=True)
         if chunk in self.done:
             numbers = [self.done[chunk], *numbers]

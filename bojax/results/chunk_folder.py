@@ -99,11 +99,7 @@ class ChunkFolder:
         self._new: list[str] = []
 
     def read(self) -> bool:
-        """Read the committed state and verify its files, changing nothing; False if there is no state.
-
-        Raises:
-            ResultsError: A committed file is missing or has changed.
-        """
+        """Read the committed state and verify its files, changing nothing; False if there is no state."""
         if not os.path.lexists(self._state_file):
             return False
         while True:
@@ -198,11 +194,7 @@ class ChunkFolder:
             self._drop_trees()
 
     def committed(self, name: str) -> Path:
-        """The path of a committed file, which merging may have moved to the results folder.
-
-        Raises:
-            ResultsError: The file is missing or has changed.
-        """
+        """The path of a committed file, which merging may have moved to the results folder."""
         path = self.path / name
         if not os.path.lexists(path) and os.path.lexists(self._results / name):
             path = self._results / name
@@ -212,11 +204,7 @@ class ChunkFolder:
         return path
 
     def pieces(self, name: str) -> Iterator[Path]:
-        """The committed files of a table, in the order of writing.
-
-        Raises:
-            ResultsError: A file is missing or has changed.
-        """
+        """The committed files of a table, in the order of writing."""
         for file in self.state.files:
             match = _PIECE.fullmatch(file)
             if match and match[1] == name:
@@ -231,20 +219,12 @@ class ChunkFolder:
         return [name for name in self.state.files if name.startswith(f"{ARRAYS}/")]
 
     def checkpoint(self) -> Path:
-        """The folder of the committed checkpoint.
-
-        Raises:
-            ResultsError: A file of it is missing or has changed.
-        """
+        """The folder of the committed checkpoint."""
         assert self.state.checkpoint is not None
         return self._tree(self.state.checkpoint)
 
     def learners(self) -> list[Path]:
-        """The committed folders of learners.
-
-        Raises:
-            ResultsError: A file of them is missing or has changed.
-        """
+        """The committed folders of learners."""
         names = dict.fromkeys(map(_top, self.state.files))
         return [self._tree(name) for name in names if name.startswith(_LEARNERS)]
 

@@ -99,11 +99,7 @@ class RunFolder:
             check_plan(self.path, old, plan)
 
     def plan(self) -> dict[str, Any] | None:
-        """The plan; None if no process has written it yet.
-
-        Raises:
-            ResultsError: It is damaged.
-        """
+        """The plan; None if no process has written it yet."""
         path = self.work / _PLAN
         if not os.path.lexists(path):
             return None

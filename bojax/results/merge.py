@@ -117,9 +117,6 @@ def committed_files(attempts: AttemptRegistry, chunks: Mapping[int, str]) -> dic
     Args:
         attempts: The attempts.
         chunks: Names of the chunks, by index.
-
-    Raises:
-        ResultsError: A committed file is missing or has changed.
     """
     found = {index: attempts.committed(name) for index, name in chunks.items() if attempts.newest(name)}
     return {index: files for index, files in found.items() if files is not None}

@@ -70,11 +70,7 @@ def explained(path: Path, action: str = "written") -> Iterator[None]:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder and its parents if they do not exist.
-
-    Raises:
-        ResultsError: It cannot be made; one line.
-    """
+    """Create a folder and its parents if they do not exist."""
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -139,11 +135,7 @@ def remove(path: Path) -> None:
 
 
 def fingerprint(path: Path) -> dict[str, Any] | None:
-    """Size and SHA-256 of a file; None unless it is a regular file.
-
-    Raises:
-        ResultsError: The file cannot be read.
-    """
+    """Size and SHA-256 of a file; None unless it is a regular file."""
     with explained(path, "read"):
         if not path.is_file():
             return None
@@ -152,11 +144,7 @@ def fingerprint(path: Path) -> dict[str, Any] | None:
 
 
 def fingerprints(folder: Path) -> dict[str, Any]:
-    """Size and SHA-256 of every file in a folder, by path in it.
-
-    Raises:
-        ResultsError: A file cannot be read.
-    """
+    """Size and SHA-256 of every file in a folder, by path in it."""
     with explained(folder, "read"):
         files = sorted(path for path in folder.rglob("*") if not path.is_dir())
     return {path.relative_to(folder).as_posix(): fingerprint(path) for path in files}
