@@ -39,6 +39,7 @@ def main(name: str, words: Sequence[str]) -> int:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
 
     from bojax.report.comparing.build import compare
+    from bojax.report.comparing.methods import Options
     from bojax.results.folder import dated_folder, require_empty
     from bojax.results.store import MANIFEST, WORK
 
@@ -48,11 +49,8 @@ def main(name: str, words: Sequence[str]) -> int:
             raise UsageError(f"{folder}: not a results folder (no {MANIFEST}); allowed: {allowed}")
     out = args.out or dated_folder(name)
     require_empty(out)
-    values = {
-        option: getattr(args, option) for option in ("metric", "phase", "last", "at", "reference", "column")
-    }
-    command = shlex.join(["bojax", name, *words])
-    print(compare(args.folders, args.csv, out, axis=args.x, command=command, **values))
+    options = Options(args.metric, args.x, args.phase, args.last, args.at, args.reference, args.column)
+    print(compare(args.folders, args.csv, out, options, shlex.join(["bojax", name, *words])))
     return 0
 
 

@@ -13,7 +13,7 @@ from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
 from bojax.report.comparing.curve_files import Rows, read_curves
-from bojax.report.comparing.methods import Measure, named, of_file, of_folder, task_of
+from bojax.report.comparing.methods import Measure, Options, named, of_file, of_folder, task_of
 from bojax.report.comparing.scoring import scored, tasks_of
 from bojax.report.source import load
 from bojax.results.store import ResultsError
@@ -223,7 +223,7 @@ class TestMethods:
     def test_a_run_that_a_success_ended_keeps_its_last_value(self):
         values = np.arange(40.0).reshape(2, 20)
         values[1, 10:] = np.nan
-        for measure in (EPISODES, STEPS, replace(EPISODES, last=3)):
+        for measure in (EPISODES, STEPS, replace(EPISODES, options=Options(last=3))):
             (each,) = methods_of({"a": values}, measure, success={"a": [1]})
             assert each.scores[1] == 29.0 and not each.cut_off
             assert each.curve.values[1, 9:].tolist() == [29.0] * 11
@@ -233,10 +233,15 @@ class TestMethods:
         x = np.arange(100, 100_001, 100)
         runs = [(x, np.sqrt(x) + run) for run in range(3)]
         short = [(x[:50], values[:50]) for x, values in runs]
-        for measure in (EPISODES, STEPS, replace(STEPS, last=7), replace(STEPS, at=2000)):
+        for measure in (
+            EPISODES,
+            STEPS,
+            replace(STEPS, options=Options(last=7)),
+            replace(STEPS, options=Options(at=2000)),
+        ):
             a, b = curves_of(tmp_path / "x.csv", {"a": short, "b": runs}, measure)
             assert a.scores.tolist() == b.scores.tolist()
-            assert (a.budget, b.budget, a.at) == (5000, 100_000, measure.at or 5000)
+            assert (a.budget, b.budget, a.at) == (5000, 100_000, measure.options.at or 5000)
             assert a.curve.x[-1] == 5000 and b.curve.x[-1] == 100_000
             assert tables.difference(b, a).estimate == 0
         whole = [scored([each], STEPS)[0].scores for each in (a, b)]
@@ -248,7 +253,9 @@ class TestMethods:
             (np.cumsum(random.integers(80, 200, size)), np.round(random.normal(size=size), 3))
             for size in (18, 13, 15)
         ]
-        a, b = curves_of(tmp_path / "x.csv", {"a": runs, "b": runs[:1]}, replace(STEPS, last=3))
+        a, b = curves_of(
+            tmp_path / "x.csv", {"a": runs, "b": runs[:1]}, replace(STEPS, options=Options(last=3))
+        )
         assert a.scores == pytest.approx([values[-3:].mean() for _, values in runs])
         assert b.scores == pytest.approx(a.scores[:1]) and a.cut_off == [1, 2]
 
@@ -287,7 +294,7 @@ class TestMethods:
         )
         found = [of_folder(load(folder), measure)[-1] for folder in folders]
         assert [each.budget for each in found] == [15, np.inf]
-        at_10 = scored(found, replace(measure, at=10))
+        at_10 = scored(found, replace(measure, options=Options(at=10)))
         steps = load(folders[0]).by_step(found[0].point, "accumulated_reward")
         assert at_10[0].scores.tolist() == steps[:, 10].tolist()
 
@@ -464,7 +471,7 @@ class TestPage:
         rows = [f"{label},{run},{x},1" for (label, run), end in ends.items() for x in range(1, end + 1)]
         (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
         for at, rule in ((None, "the largest that all methods have"), (4, "the one of --at")):
-            page = compare([], [tmp_path / "x.csv"], tmp_path / f"out-{at}", axis="step", at=at)
+            page = compare([], [tmp_path / "x.csv"], tmp_path / f"out-{at}", Options(axis="step", at=at))
             text = page.read_text(encoding="utf-8")
             assert f"up to the budget. The budget is {rule}." in Page(text).text
             assert f"The budget of all scores is step {at or 5}. Cut off before it, without a succ" in text
@@ -493,7 +500,7 @@ class TestPage:
         for values, band in (((0, 1), "Wilson"), ((0.25, 0.5), "Student&#39;s t")):
             rows = [f"{label},{run},1,{values[run]}" for label in "ab" for run in (0, 1)]
             (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
-            page = compare([], [tmp_path / "x.csv"], tmp_path / band[:2], metric="success")
+            page = compare([], [tmp_path / "x.csv"], tmp_path / band[:2], Options("success"))
             text = page.read_text(encoding="utf-8")
             caption = re.findall(r"<figcaption>(.*?)</figcaption>", text, re.DOTALL)[0]
             assert f"95% bands ({band})" in caption

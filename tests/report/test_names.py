@@ -12,6 +12,7 @@ from matplotlib.text import Text
 
 from bojax.report import style
 from bojax.report.comparing.build import compare
+from bojax.report.comparing.methods import Options
 from bojax.report.drawing.base import dot_plot, name_panels, panel_grid
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.figures import draw
@@ -159,7 +160,9 @@ def test_a_comparison_keeps_every_name_at_its_curve(tmp_path):
     ]
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("label", "run", "x", "value"), *rows])
-    page = Page(compare([], [path], tmp_path / "out", reference="_baseline").read_text(encoding="utf-8"))
+    page = Page(
+        compare([], [path], tmp_path / "out", Options(reference="_baseline")).read_text(encoding="utf-8")
+    )
     image = next(each for each in page.all("img") if "data-curves" in each)
     names = json.loads(image["data-curves"])
     assert names == distinct(map(printed, labels[:11]))

@@ -10,7 +10,7 @@ import numpy as np
 from bojax.report import statistics, style
 from bojax.report.comparing import tables
 from bojax.report.comparing.logs.opening import opened
-from bojax.report.comparing.methods import Axis, Measure, Method, Phase, measured_by, methods_of
+from bojax.report.comparing.methods import Measure, Method, Options, measured_by, methods_of
 from bojax.report.comparing.scoring import Task, tasks_of
 from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
@@ -28,28 +28,20 @@ def compare(
     folders: Sequence[Path],
     files: Sequence[Path],
     out: Path,
-    *,
-    metric: str | None = None,
-    axis: Axis | None = None,
-    phase: Phase = "train",
-    last: int | None = None,
-    at: int | None = None,
-    reference: str | None = None,
-    column: str | None = None,
+    options: Options | None = None,
     command: str = "",
 ) -> Path:
     """Write a comparison into the folder `out`, which is made, and return `comparison.html`.
 
     Nothing is written before everything is ready. The files are CSV, or files and folders as other libraries
-    write them. The options are those of the command: `metric` is a column, with a minus sign if less is
-    better, `last` the number of the last values of a run whose mean is its score, `at` the step or episode up
-    to which they are taken, and `column` the column of logs of other libraries.
+    write them.
     """
+    options = options or Options()
     results, sources = [load(folder) for folder in folders], [opened(path) for path in files]
     has_logs = any(each.logs for each in sources)
-    measure = measured_by(results, metric, axis, phase, last, at, has_logs=has_logs, log_column=column)
+    measure = measured_by(results, options, has_logs=has_logs)
     methods = methods_of(results, sources, measure)
-    tasks = tasks_of(methods, measure, reference)
+    tasks = tasks_of(methods, measure, options.reference)
     images, sections = {}, []
     with style.settings():
         for number, task in enumerate(tasks, start=1):
@@ -77,7 +69,7 @@ def compare(
         sections=sections,
         methods=statistics.methods(sizes),
         better="Newcombe" if min(sizes) < statistics.FEW else "bootstrap",
-        overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),
+        overall=tables.overall(tasks, options.reference or tasks[0].reference.name, measure),
         settings=tables.settings(methods),
         sources=tables.sources(results, methods),
         provenance=[("command", command)] if command else [],
@@ -113,7 +105,7 @@ def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
         np.isin(each.values[np.isfinite(each.values)], (0.0, 1.0)).all() for each in curves
     )
     words = heading(measure.column)
-    tests = " of the tests after each episode" if measure.phase == "test" else ""
+    tests = " of the tests after each episode" if measure.options.phase == "test" else ""
     quantity = f"share of runs with success{tests}" if is_share else f"mean {words}{tests}"
     label = "success (%)" if is_share else words
     missing = "A run is left out before its first value."
@@ -189,8 +181,8 @@ def _score(method: Method, measure: Measure) -> str:
     words = heading(measure.column)
     if not method.has_curve:
         return f"{words}, or the budget where it is not reached" if measure.column in ENDS else words
-    if measure.last is not None:
-        return f"mean {words} of the last {counted(measure.last, 'value')} of the run up to the budget"
+    if (last := measure.options.last) is not None:
+        return f"mean {words} of the last {counted(last, 'value')} of the run up to the budget"
     if measure.kind == "planning":
         return f"last {words} up to the budget"
     return f"mean {words} over the last tenth of the run up to the budget"

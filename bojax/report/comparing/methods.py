@@ -35,17 +35,27 @@ PLANNING_CURVE = "accumulated_reward"  # the column of `steps.parquet` that is d
 
 
 @dataclass(frozen=True)
-class Measure(ranking.Measure):
-    """A compared column: of `episodes.parquet` or `runs.parquet`, or `accumulated_reward` of planning."""
+class Options:
+    """The options of the command; None for their defaults."""
 
-    kind: Kind  # of the experiments
-    axis: Axis  # horizontal axis of curves
+    metric: str | None = None  # column, with a minus sign if less is better
+    axis: Axis | None = None  # horizontal axis of curves
     phase: Phase = "train"  # of the episodes
     # Number of the last values of a run whose mean is its score; None for those in its last tenth, and the
     # last one in planning
     last: int | None = None
     at: int | None = None  # budget at which scores are taken; None for the largest that all methods have
-    log_column: str | None = None  # column of the logs of other libraries; None for the one that corresponds
+    reference: str | None = None  # method that others are compared with; None for the first
+    column: str | None = None  # of the logs of other libraries; None for the one that corresponds
+
+
+@dataclass(frozen=True)
+class Measure(ranking.Measure):
+    """A compared column: of `episodes.parquet` or `runs.parquet`, or `accumulated_reward` of planning."""
+
+    kind: Kind  # of the experiments
+    axis: Axis
+    options: Options = Options()
 
     @property
     def end(self) -> str:
@@ -105,18 +115,8 @@ class Method:
         return self.seed is not None and self.seed == other.seed and np.array_equal(self.run, other.run)
 
 
-def measured_by(
-    results: Sequence[Results],
-    metric: str | None,
-    axis: Axis | None,
-    phase: Phase,
-    last: int | None,
-    at: int | None,
-    *,
-    has_logs: bool = False,
-    log_column: str | None = None,
-) -> Measure:
-    """What is compared, by the options of `compare`; all folders have to be of one kind of experiment.
+def measured_by(results: Sequence[Results], options: Options, *, has_logs: bool = False) -> Measure:
+    """What is compared; all folders have to be of one kind of experiment.
 
     With logs of other libraries, which count steps, the default axis is the step.
     """
@@ -128,18 +128,15 @@ def measured_by(
                 "allowed: one of both"
             )
     kind: Kind = kinds[0] if kinds else "learning"
-    if kind == "planning" and axis not in (None, "step"):
-        raise ResultsError(f"--x: got {axis}; allowed of planning: step")
-    axis = axis or ("step" if kind == "planning" or has_logs else "episode")
-    if metric is None:
-        metric = PLANNING_CURVE if kind == "planning" else "return"
-    if phase == "test":
+    if kind == "planning" and options.axis not in (None, "step"):
+        raise ResultsError(f"--x: got {options.axis}; allowed of planning: step")
+    axis: Axis = options.axis or ("step" if kind == "planning" or has_logs else "episode")
+    metric = options.metric or (PLANNING_CURVE if kind == "planning" else "return")
+    if options.phase == "test":
         for each in results:
             if not each.episodes or not (each.episodes["phase"] == "test").any():
                 raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(
-        metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last, at, log_column=log_column
-    )
+    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, options)
 
 
 def methods_of(results: Sequence[Results], sources: Sequence[Source], measure: Measure) -> list[Method]:
@@ -161,10 +158,10 @@ def methods_of(results: Sequence[Results], sources: Sequence[Source], measure: M
 def _by_path(sources: Sequence[Source], measure: Measure) -> list[tuple[Path, list[Rows]]]:
     """The rows of each CSV file, then those of each label of all logs together."""
     logs = [each for source in sources for each in source.logs]
-    if measure.log_column is not None and not logs:
-        raise ResultsError(f"--column: got {measure.log_column}; allowed with logs of other libraries alone")
-    options = (measure.column, measure.phase, measure.axis, measure.log_column)
-    of_logs = [(path, [rows]) for path, rows in rows_of(logs, *options)]
+    phase, column = measure.options.phase, measure.options.column
+    if column is not None and not logs:
+        raise ResultsError(f"--column: got {column}; allowed with logs of other libraries alone")
+    of_logs = [(path, [rows]) for path, rows in rows_of(logs, measure.column, phase, measure.axis, column)]
     return [*((source.path, [*source.rows]) for source in sources if source.rows), *of_logs]
 
 
@@ -251,7 +248,7 @@ def _series(results: Results, point: Point, measure: Measure) -> list[Series]:
             Series(np.arange(size + 1.0), values[: size + 1], float(size), bool(is_final))
             for values, size, is_final in zip(table, sizes, finals, strict=True)
         ]
-    values = results.recorded(point, measure.column, measure.phase)
+    values = results.recorded(point, measure.column, measure.options.phase)
     ends = np.broadcast_to(np.arange(1.0, values.shape[1] + 1), values.shape)
     if measure.axis == "step":
         ends = np.nancumsum(results.recorded(point, "length"), axis=1)[:, : values.shape[1]]

@@ -43,15 +43,15 @@ def tasks_of(methods: Sequence[Method], measure: Measure, reference: str | None)
 def scored(methods: Sequence[Method], measure: Measure) -> list[Method]:
     """Methods of one task with their scores and curves.
 
-    Scores are those at the largest budget that all methods have, or at `measure.at`.
+    Scores are those at the largest budget that all methods have, or at the given one.
 
     Raises:
-        ResultsError: `measure.at` is beyond the budget of a method, or before the first value of a run.
+        ResultsError: The given budget is beyond the budget of a method, or before the first value of a run.
     """
     budget = common_budget([each.series for each in methods])
-    if measure.at is not None:
+    if measure.options.at is not None:
         _check_place(methods, measure)
-        budget = float(measure.at)
+        budget = float(measure.options.at)
     longest = max(run.end for each in methods for run in each.series)
     found = []
     for each in methods:
@@ -59,7 +59,7 @@ def scored(methods: Sequence[Method], measure: Measure) -> list[Method]:
             values = np.array([run.values[-1] for run in each.series], dtype=np.float64)
             scores = times_within(values, budget) if measure.column in ENDS else values
         else:
-            last = 1 if measure.kind == "planning" and measure.last is None else measure.last
+            last = measure.options.last or (1 if measure.kind == "planning" else None)
             scores = np.array([run.score(budget, last) for run in each.series])
         scores = np.where(each.has_nan, np.nan, scores)
         curve = _curve(each, measure, min(each.budget, longest)) if each.has_curve else None
@@ -68,7 +68,7 @@ def scored(methods: Sequence[Method], measure: Measure) -> list[Method]:
 
 
 def _check_place(methods: Sequence[Method], measure: Measure) -> None:
-    at = measure.at
+    at = measure.options.at
     assert at is not None
     for each in methods:
         if not each.has_curve and measure.column not in ENDS:

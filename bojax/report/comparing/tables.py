@@ -20,7 +20,7 @@ def rule(method: Method, measure: Measure) -> str:
     """How runs of different length are compared, in sentences that follow another one."""
     if not (method.has_curve or measure.column in ENDS):
         return ""
-    budget = "the largest that all methods have" if measure.at is None else "the one of --at"
+    budget = "the largest that all methods have" if measure.options.at is None else "the one of --at"
     stated = f" The budget is {budget}."
     if not method.has_curve:
         return stated
