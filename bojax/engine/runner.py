@@ -23,9 +23,6 @@ from bojax.experiments.base import Experiment
 from bojax.results.store import ResultsError
 from bojax.results.tables import KEYS, to_arrow
 
-AT_END = "end"
-"""Label of the snapshot of a finished run."""
-
 EMPTY = -1
 """In a map from lanes to the runs of a queue: a lane without a run."""
 
@@ -283,7 +280,7 @@ class ChunkRunner:
             for lane, point, run in keys:
                 for name, arrays in snapshots.items() if run < self._sink.recorded_runs else ():
                     kept = {key: values[lane] for key, values in arrays.items()}
-                    self._sink.write_snapshot(point, run, name, AT_END, kept)
+                    self._sink.write_snapshot(point, run, name, kept)
         if any(run < self._sink.saved_learners for _, _, run in keys):
             learned = self._programs.exported_state(self._carry, self._lanes)
             for lane, point, run in keys if jax.tree.leaves(learned) else ():

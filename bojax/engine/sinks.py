@@ -35,10 +35,8 @@ class Sink(abc.ABC):
         """Write the rows of a segment."""
 
     @abc.abstractmethod
-    def write_snapshot(
-        self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
-    ) -> None:
-        """Write named arrays of a run."""
+    def write_snapshot(self, point: int, run: int, name: str, arrays: dict[str, np.ndarray]) -> None:
+        """Write named arrays of a run that has ended."""
 
     @abc.abstractmethod
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
@@ -78,10 +76,8 @@ class FolderSink(Sink):
         self._files.write_piece(tables)
 
     @override
-    def write_snapshot(
-        self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
-    ) -> None:
-        self._files.write_snapshot(point, run, name, when, arrays)
+    def write_snapshot(self, point: int, run: int, name: str, arrays: dict[str, np.ndarray]) -> None:
+        self._files.write_snapshot(point, run, name, arrays)
 
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
@@ -131,8 +127,8 @@ class MemorySink(Sink):
         self.state = ChunkState()
         self.recorded_runs, self.saved_learners = recorded_runs, saved_learners
         self.tables: dict[str, list[pa.Table]] = {}  # the pieces of each table
-        # Named arrays by point, run, name and when; states of learners by point and run
-        self.snapshots: dict[tuple[int, int, str, str], dict[str, np.ndarray]] = {}
+        # Named arrays by point, run and name; states of learners by point and run
+        self.snapshots: dict[tuple[int, int, str], dict[str, np.ndarray]] = {}
         self.learned: dict[tuple[int, int], PyTree] = {}
         self._checkpoint: Carry | None = None
 
@@ -142,10 +138,8 @@ class MemorySink(Sink):
             self.tables.setdefault(name, []).append(rows)
 
     @override
-    def write_snapshot(
-        self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
-    ) -> None:
-        self.snapshots[point, run, name, when] = arrays
+    def write_snapshot(self, point: int, run: int, name: str, arrays: dict[str, np.ndarray]) -> None:
+        self.snapshots[point, run, name] = arrays
 
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:

@@ -342,7 +342,7 @@ class Results:
     def arrays(self, point: Point, name: str) -> Iterable[tuple[int, Arrays]]:
         """Run index and arrays of every kept snapshot `name` of a point, by run index."""
         for run in sorted(self.runs_of(point)["run"].tolist()) if self._snapshots else ():
-            file = array_file(point.index, run, name, "end")
+            file = array_file(point.index, run, name)
             if file in self._snapshots:
                 path, digest = self.folder / ARRAYS / file, self.manifest.sha256.get(f"{ARRAYS}/{file}")
                 if digest is not None:

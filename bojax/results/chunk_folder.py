@@ -138,11 +138,9 @@ class ChunkFolder:
                 write_table(self.add(f"piece-{self.state.pieces:06d}-{table}.parquet"), rows)
         self.state.pieces += 1
 
-    def write_snapshot(
-        self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
-    ) -> None:
-        """Write named arrays of a run, to be committed by the next commit."""
-        write_arrays(self.add(f"{ARRAYS}/{array_file(point, run, name, when)}"), arrays)
+    def write_snapshot(self, point: int, run: int, name: str, arrays: dict[str, np.ndarray]) -> None:
+        """Write named arrays of a run that has ended, to be committed by the next commit."""
+        write_arrays(self.add(f"{ARRAYS}/{array_file(point, run, name)}"), arrays)
 
     def add(self, name: str) -> Path:
         """The path of a new file, to be committed by the next commit; its folder is made if necessary."""

@@ -276,9 +276,9 @@ def write_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
     write_atomically(path, write)
 
 
-def array_file(point: int, run: int, name: str, when: str) -> str:
-    """File name of a snapshot in `arrays/`."""
-    return f"{point}-{run}-{name}-{when}.npz"
+def array_file(point: int, run: int, name: str) -> str:
+    """File name of a snapshot in `arrays/`, which is taken at the end of the run."""
+    return f"{point}-{run}-{name}-end.npz"
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

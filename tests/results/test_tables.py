@@ -184,14 +184,14 @@ def test_snapshots_are_moved_once(tmp_path):
             return arrays["x"].tolist()
 
     chunk = attempt(tmp_path)
-    chunk.write_snapshot(0, 1, "walk", "end", {"x": np.arange(3)})
+    chunk.write_snapshot(0, 1, "walk", {"x": np.arange(3)})
     done(chunk)
     for _ in range(2):  # a merge may be cut off, or repeated when failed chunks have been computed
         merge(tmp_path, CHUNKS, [], POINTS, seed=0)
         assert moved() == [0, 1, 2]
     shutil.rmtree(chunk.path)
     again = attempt(tmp_path, number=2)  # the chunk was deleted and computed again
-    again.write_snapshot(0, 1, "walk", "end", {"x": np.arange(4)})
+    again.write_snapshot(0, 1, "walk", {"x": np.arange(4)})
     done(again)
     merge(tmp_path, CHUNKS, [], POINTS, seed=0)
     assert moved() == [0, 1, 2, 3]
