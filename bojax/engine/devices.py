@@ -224,7 +224,7 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
         cores: Number of cores of the CPU; all that this process may run on by default.
 
     XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU share the one
-    device, and with it the compiled programs. Those of an accelerator share a `DeviceLock`.
+    device, and with it the compiled programs. Those of an accelerator share a lock, see `new_lock`.
     """
     cpus = of_platform(devices, "cpu")
     workers = [device for device in devices if device not in cpus for _ in range(2)]
@@ -234,32 +234,24 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
     return workers + cpus
 
 
-class DeviceLock:
+def new_lock(device: Device) -> AbstractContextManager[Any]:
     """What a worker holds while it uses a device.
 
     An accelerator runs one chunk at a time, since several at once take as long as one after the other. While
     one worker writes the last rows of a chunk, or waits for a program, the other one uses the device. Workers
     of a CPU hold nothing: each uses a core.
     """
+    return nullcontext() if device.platform == "cpu" else threading.Lock()
 
-    def __init__(self, device: Device):
-        is_shared = device.platform == "cpu"
-        self._lock: AbstractContextManager[Any] = nullcontext() if is_shared else threading.Lock()
 
-    def __enter__(self) -> None:
-        self._lock.__enter__()
-
-    def __exit__(self, *error: object) -> None:
-        self._lock.__exit__(None, None, None)
-
-    @contextmanager
-    def released(self) -> Iterator[None]:
-        """Let another worker use the device meanwhile; called by the worker that holds it."""
-        self.__exit__()
-        try:
-            yield
-        finally:
-            self.__enter__()
+@contextmanager
+def released(lock: AbstractContextManager[Any]) -> Iterator[None]:
+    """Let another worker use the device meanwhile; called by the worker that holds the lock."""
+    lock.__exit__(None, None, None)
+    try:
+        yield
+    finally:
+        lock.__enter__()
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from bojax.engine.batch import Programs
 from bojax.engine.chunks import Chunk
 from bojax.engine.compile_processes import CompileProcesses, Request, number_of_processes
 from bojax.engine.compiler import POLL_SECONDS, BackgroundCompiler
-from bojax.engine.devices import Device, DeviceLock
+from bojax.engine.devices import Device, new_lock, released
 from bojax.engine.errors import Stopped
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import ChunkRunner
@@ -89,7 +89,7 @@ class _Executor:
         )
         new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
         self._processes = CompileProcesses(number_of_processes(len(new), workers))
-        self._locks = {device: DeviceLock(device) for device in workers}
+        self._locks = {device: new_lock(device) for device in workers}
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._compile_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
@@ -235,7 +235,7 @@ class _Executor:
             if self._compiler.is_ready(key):
                 return self._compiler.wait(key)
             # Another chunk may use the device while this one waits for a program, or loads it.
-            with self._locks[device].released():
+            with released(self._locks[device]):
                 if not self._compiler.is_requested(key):
                     with self._changed:
                         source = self._scheduler.source(key)

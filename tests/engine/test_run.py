@@ -16,7 +16,7 @@ from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch, chunks, compiler, execute, program_cache, tasks
 from bojax.engine.chunks import Layout
-from bojax.engine.devices import DeviceLock
+from bojax.engine.devices import new_lock
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.scheduler import Scheduler
@@ -216,7 +216,7 @@ def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path,
         assert number == 2 or next_begins[number].wait(60.0)  # the other worker goes on with the next chunk
         original["finish"](runner)
 
-    monkeypatch.setattr(execute, "DeviceLock", lambda device: DeviceLock(Accelerator(device)))
+    monkeypatch.setattr(execute, "new_lock", lambda device: new_lock(Accelerator(device)))
     monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: [devices[0]] * 2)
     monkeypatch.setattr(ChunkRunner, "advance", advance)
     monkeypatch.setattr(ChunkRunner, "finish", finish)
@@ -249,7 +249,7 @@ def test_a_chunk_that_waits_for_a_program_lets_the_other_worker_go_on(tmp_path, 
 
     monkeypatch.setattr(tasks, "Programs", Late)
     monkeypatch.setattr(compiler, "compile_threads", lambda: 3)
-    monkeypatch.setattr(execute, "DeviceLock", lambda device: DeviceLock(Accelerator(device)))
+    monkeypatch.setattr(execute, "new_lock", lambda device: new_lock(Accelerator(device)))
     monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: [devices[0]] * 2)
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2), 1))
     monkeypatch.setattr(ChunkRunner, "_narrow", noted_narrow)
