@@ -12,7 +12,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from types import TracebackType
 
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.engine.signals import stop_with_parent
 from bojax.numerics.cores import usable_cores
 from bojax.report.verdicts import print_verdicts
@@ -94,7 +94,7 @@ class Reports:
             what = "the report is not written; to write it"
             if len(left) > 1:
                 what = f"{len(left)} reports are not written; to write them"
-            print(printable(f"interrupted; {what}: {again}"), file=sys.stderr)
+            say(f"interrupted; {what}: {again}")
 
     def _show(self, folder: Path, pending: Future[Path]) -> None:
         while not pending.done():
@@ -107,7 +107,7 @@ class Reports:
             self.exit_code = 1
             reason = f"the report of {folder} cannot be written: {error_line(problem)}"
             advice = f"to try again: bojax report {folder}"
-            print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
+            say(f"error: {reason}; {advice}")
         del self._pending[folder]
 
 

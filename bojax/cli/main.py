@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TextIO, cast
 
 from bojax import __version__
 from bojax.cli.parser import ON_WINDOWS, Parser, UsageError
-from bojax.config.errors import control_character, did_you_mean, printable, shown
+from bojax.config.errors import control_character, did_you_mean, say, shown
 from bojax.errors import INPUT_ERROR, UserError
 
 COMMANDS = {
@@ -107,20 +107,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
-            print(printable(f"error: {error.filename}: {error.strerror}"), file=sys.stderr)
+            say(f"error: {error.filename}: {error.strerror}")
             return INPUT_ERROR
         is_closed = isinstance(error, BrokenPipeError)
         if not is_closed and (error.filename is not None or error.errno not in _DISK):
             raise
         return _end_output(error)
     except UserError as error:
-        print(printable(f"error: {error}"), file=sys.stderr)
+        say(f"error: {error}")
         return error.exit_code
     except ValueError as error:
         has_begun = any(name.startswith("jax.") for name in sys.modules)
         if not has_begun or "jax" in sys.modules:
             raise
-        print(printable(f"error: JAX refuses its environment variables: {error}"), file=sys.stderr)
+        say(f"error: JAX refuses its environment variables: {error}")
         return INPUT_ERROR
 
 

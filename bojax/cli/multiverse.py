@@ -1,6 +1,5 @@
 """`bojax reproduce --multiverse`: the claims of sweeps under the choices that their paper leaves open."""
 
-import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bojax.cli.parser import UsageError
 from bojax.cli.running import run
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.engine.resolve import resolved
 from bojax.results.folder import dated_folder, require_empty
 
@@ -44,7 +43,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
         for start in range(0, len(asked), size):
             numbers = asked[start : start + size]
             folder = out / "blocks" / f"{numbers[0]:05d}-{numbers[-1]:05d}"
-            _say(f"configurations {numbers[0]} to {numbers[-1]} of {len(multiverse.configurations)}")
+            say(f"configurations {numbers[0]} to {numbers[-1]} of {len(multiverse.configurations)}")
             code, folders = _run(declaration, numbers, None, None, folder, args, command)
             if folders is None:
                 return code
@@ -59,9 +58,9 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     from bojax.claims.multiverse.page import summary_of, write_page
 
     if multiverse.done:
-        _say(summary_of(multiverse))
+        say(summary_of(multiverse))
     if missing := len(multiverse.configurations) - len(multiverse.done):
-        _say(f"{missing} of {len(multiverse.configurations)} configurations are left: --resume --out {out}")
+        say(f"{missing} of {len(multiverse.configurations)} configurations are left: --resume --out {out}")
     print(out / FILE)
     print(write_page(multiverse, out / PAGE))
     return 0
@@ -101,7 +100,7 @@ def _confirm(
 
     assert multiverse.best is not None
     runs, seed = declaration.file.confirm.runs, declaration.file.confirm.seed
-    _say(f"the best configuration is {multiverse.best}; it and the sweep's own run again on fresh seeds")
+    say(f"the best configuration is {multiverse.best}; it and the sweep's own run again on fresh seeds")
     numbers = sorted({0, multiverse.best})
     code, folders = _run(declaration, numbers, runs, seed, folder, args, command)
     if folders is None:
@@ -109,10 +108,6 @@ def _confirm(
     found = confirmed(declaration, folders, numbers)
     fresh = Confirmed(runs=runs, seed=seed, own=found[0], best=found[multiverse.best])
     return code, multiverse.model_copy(update={"confirmed": fresh})
-
-
-def _say(text: str) -> None:
-    print(printable(text), file=sys.stderr)
 
 
 def _folder(name: str, *, resume: bool) -> Path:

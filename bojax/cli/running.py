@@ -20,7 +20,7 @@ from bojax.cli.launching import (
     launcher_of,
 )
 from bojax.cli.parser import Parser, UsageError
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
 from bojax.config.sweep import Sweep, load_config, load_sweep
@@ -86,7 +86,7 @@ def main(name: str, words: Sequence[str]) -> int:
     for source in given:
         if isinstance(source, str) and (hidden := shadowed(source, folder)):
             own = display(find(source, folder))
-            print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
+            say(f"note: {own} hides {hidden}, which differs")
     for sweep in sweeps:
         _note_doubts(sweep)
     if args.dry_run:

@@ -66,10 +66,15 @@ def printable(message: object) -> str:
     return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"
 
 
+def say(message: object) -> None:
+    """Print a message on standard error, as `printable` writes it."""
+    print(printable(message), file=sys.stderr)
+
+
 @functools.cache
 def note_once(text: str) -> None:
     """Print a line on standard error, once in a process."""
-    print(printable(text), file=sys.stderr)
+    say(text)
 
 
 def did_you_mean(name: Any, names: Iterable[str]) -> str:

@@ -1,6 +1,5 @@
 """What random actions do in the environment of a run: a table beside the results, which the report draws."""
 
-import sys
 import time
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.sweep import Sweep
 from bojax.engine.batch import run_key
 from bojax.engine.build import build
@@ -52,7 +51,7 @@ def write_baseline(sweep: Sweep, folder: Path) -> None:
         if columns is not None:
             write_table(path, to_arrow(COLUMNS, columns))
     except Exception as error:  # whatever an environment of the user's raises
-        print(printable(f"note: no baseline of random actions: {error_line(error)}"), file=sys.stderr)
+        say(f"note: no baseline of random actions: {error_line(error)}")
 
 
 def _columns(env: Env, config: Learning, seed: int) -> dict[str, np.ndarray] | None:
@@ -70,7 +69,7 @@ def _columns(env: Env, config: Learning, seed: int) -> dict[str, np.ndarray] | N
         made = program(*_lanes(seed, first + run, number, hold))
         found.append(jax.device_get(made))
         if (time.monotonic() - start) * runs > MOST_SECONDS * (first + BATCH):
-            print(f"note: no baseline of random actions: it takes over {MOST_SECONDS:g} s", file=sys.stderr)
+            say(f"note: no baseline of random actions: it takes over {MOST_SECONDS:g} s")
             return None
     episodes = jax.tree.map(lambda *parts: np.concatenate(parts), *found)
     firsts = np.repeat(np.arange(0, runs, BATCH), len(run))

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 
+from bojax.config.errors import say
 from bojax.config.saved_sweep import saved
 from bojax.engine.chunks import Chunk
 from bojax.engine.devices import prepare
@@ -219,7 +220,7 @@ def _has_ended(remote: _Remote) -> bool:
 
 def _finalise(remote: _Remote, invocation: Invocation) -> None:
     assert remote.run is not None
-    remote.run.finalise(lambda text: print(text, file=sys.stderr), invocation.finish)
+    remote.run.finalise(say, invocation.finish)
 
 
 def _wait(waiting: list[_Remote], invocation: Invocation, launcher: Launcher) -> None:

@@ -1,12 +1,11 @@
 """Running sweeps: plan, execute, merge."""
 
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bojax.config.errors import ConfigError, printable
+from bojax.config.errors import ConfigError, say
 from bojax.config.settings import Platform
 from bojax.config.sweep import Sweep
 from bojax.engine.devices import Device, choose, find_devices, prepare
@@ -57,7 +56,7 @@ def run_sweeps(
             devices = choose(find_devices(device), indices)
             return _run(targets, devices, invocation, planned)
     except UserError as error:
-        print(printable(f"error: {error}"), file=sys.stderr)
+        say(f"error: {error}")
         return error.exit_code
 
 
@@ -113,4 +112,4 @@ def _execute(runs: Sequence[SweepRun], devices: Sequence[Device], invocation: In
                 run.finalise(progress.say, invocation.finish)  # while the other sweeps run
     for run in runs if not invocation.stop else ():
         if not left[run] and run.merged is None:  # also one that was killed before it was merged
-            run.finalise(lambda text: print(text, file=sys.stderr), invocation.finish)
+            run.finalise(say, invocation.finish)

@@ -1,12 +1,11 @@
 """The requested sweeps: their results folders, and which of them are unfinished."""
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.sweep import Sweep
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.plan import Plan, make_plan
@@ -57,7 +56,7 @@ def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]
     if not chosen:
         raise finished[0]
     for error in finished:
-        print(printable(f"note: {error}"), file=sys.stderr)
+        say(f"note: {error}")
     if resume and not any(target.is_resumed for target in chosen):
         say_new([target.path for target in chosen])
     return chosen
@@ -66,7 +65,7 @@ def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]
 def say_new(folders: Sequence[Path]) -> None:
     """Print a note that what was to be resumed begins in these folders."""
     others = f" and {len(folders) - 1} more" if len(folders) > 1 else ""
-    print(printable(f"note: nothing to resume; starting anew: {folders[0]}{others}"), file=sys.stderr)
+    say(f"note: nothing to resume; starting anew: {folders[0]}{others}")
 
 
 def plan_unfinished(

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import pydantic
 
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.external import resolve
 from bojax.config.saved_sweep import loaded
 from bojax.config.sweep import Sweep
@@ -116,5 +116,5 @@ def guarded(work: Callable[[], int]) -> int:
     try:
         return work()
     except EXPECTED as error:
-        print(printable(f"error: {error}"), file=sys.stderr)
+        say(f"error: {error}")
         return getattr(error, "exit_code", FAILURE)

@@ -1,7 +1,6 @@
 """The results folder as a report reads it: settings, tables and arrays."""
 
 import os
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from bojax import __version__
 from bojax.config.claims import Claim, Explanation
 from bojax.config.component import Component
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.sweep_file import Report, published_report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
@@ -377,9 +376,7 @@ def load(folder: Path) -> Results:
         raise _unfinished(folder)
     writer = manifest.versions.get("bojax", __version__)  # earlier versions did not always record it
     if writer != __version__:
-        print(
-            printable(f"note: {folder} was written by bojax {writer}; this is {__version__}"), file=sys.stderr
-        )
+        say(f"note: {folder} was written by bojax {writer}; this is {__version__}")
     for path in sorted(folder.glob("*.parquet")):
         if path.name in manifest.sha256:
             require_unchanged(path, manifest.sha256[path.name])

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from bojax.config.claims import EntryClass
-from bojax.config.errors import printable
+from bojax.config.errors import printable, say
 from bojax.report.findings import FailureCause, Verdict
 from bojax.report.manifest import Bounds, Count, Recorded, Share, validated
 from bojax.report.statistics import Interval
@@ -182,4 +182,4 @@ def print_verdicts(folder: Path, *, is_brief: bool = False) -> None:
         told = printable(f"{claim.id}: {claim.claim}{f' ({joined(notes)})' if notes else ''}")
         print(f"{claim.verdict:<14}  {told}", file=sys.stderr)
     if claims:
-        print(printable(f"{folder}: {in_words(claims)}"), file=sys.stderr)
+        say(f"{folder}: {in_words(claims)}")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.sweep import Sweep
 from bojax.config.yaml_file import dump
 from bojax.engine.program_cache import held
@@ -63,7 +63,7 @@ def run_rounds(
             say_new([folder])
     for key in task.recompiled:
         note = f"note: {key} fixes the shape of a program; each of its values is compiled anew"
-        print(printable(note), file=sys.stderr)
+        say(note)
     if not any(word == "--out" or word.startswith("--out=") for word in command):
         command = [*command, "--out", str(folder)]
     files, is_done = RunFolder(folder), False

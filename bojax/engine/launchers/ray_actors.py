@@ -22,7 +22,7 @@ from typing import Any
 
 from typing_extensions import override
 
-from bojax.config.errors import printable
+from bojax.config.errors import say
 from bojax.config.extras import needed
 from bojax.config.launching import RayConfig
 from bojax.engine.errors import EngineError
@@ -141,7 +141,7 @@ class Ray(Launcher):
                     self._idle.append(actor)
                     continue
                 self._refusing.add(actor)
-                print(printable(f"a worker has left: {told}"), file=sys.stderr)
+                say(f"a worker has left: {told}")
             if share is not None:
                 self._shares.appendleft(share)
         while self._shares and self._idle:
