@@ -16,6 +16,7 @@ from bojax.motions.base import ContinuousMotions
 from bojax.planning.base import PathPlanner, Plan
 from bojax.planning.belief_search import BeliefTreeSearch, Expansion
 from bojax.planning.belief_tree import BeliefTree, row
+from bojax.planning.search import return_of
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Box
 from bojax.problems.base import Belief, Objective
@@ -128,9 +129,4 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         self, key: Key[Array, ""], problem: PathModel, leaf: RolloutRewards, remaining: Int[Array, ""]
     ) -> Float[Array, ""]:
         """The return of the rollout, without rewards past the horizon or after a terminal state."""
-        value = jnp.zeros((), self.discount.dtype)
-        # Backwards, R_t = r_t + gamma R_(t+1); what is cut off may be any number, even NaN.
-        for step in reversed(range(self.depth - 1)):
-            later = jnp.where(leaf.terminated[step], 0.0, self.discount * value)
-            value = jnp.where(step < remaining, leaf.rewards[step] + later, 0.0)
-        return value
+        return return_of(leaf.rewards, leaf.terminated, remaining, self.discount)

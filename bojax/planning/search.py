@@ -14,7 +14,7 @@ from bojax.numerics.lanes import batched_together
 from bojax.planning.base import M, PathPlanner, Plan
 from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree, best_by_mean
 from bojax.problems.base import Belief, Objective
-from bojax.problems.path_problem import PathProblem, Root, Simulation
+from bojax.problems.path_problem import PathProblem, Root
 
 Memory = TypeVar("Memory", bound=eqx.Module)
 """What a planner stores for every node to choose actions there: node models, stencils."""
@@ -187,7 +187,8 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         proposal = self.propose(tree, memory, node, _at(views, node), draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
         simulation = problem.simulate(key, root, _at(tree.belief, node), paths, self.objective)
-        future = self._return_of(simulation, level)
+        # All lanes simulate equally many paths, from nodes of different levels.
+        future = return_of(simulation.rewards, simulation.terminated, self.depth - level, self.discount)
 
         nodes, gained = self._back_up(tree, descent, child, is_new, future)
         growth = Growth(
@@ -214,20 +215,6 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
             visited.append((node, is_descending))
         level = jnp.asarray(sum(reached.astype(jnp.int32) for _, reached in visited))
         return _Descent(node, level, visited)
-
-    def _return_of(self, simulation: Simulation, level: Int[Array, ""]) -> Float[Array, ""]:
-        """The return of simulated paths; rewards past the horizon or a terminal state do not count."""
-        # Backwards, R_t = r_t + gamma R_(t+1). All lanes simulate equally many paths, from nodes of different
-        # levels: rewards past the horizon are computed and masked. A terminal state cuts off what follows it,
-        # and the paths after it may hold any number, even NaN, which `where` does not let through.
-        future = jnp.zeros((), self.discount.dtype)
-        for step in reversed(range(simulation.rewards.shape[0])):
-            is_within = level + step < self.depth
-            ended = simulation.terminated[step]
-            reward = simulation.rewards[step]
-            rest = jnp.where(ended, 0.0, self.discount * future)
-            future = jnp.where(is_within, reward + rest, 0.0)
-        return future
 
     def _back_up(
         self,
@@ -265,6 +252,21 @@ class _Descent(NamedTuple):
     node: Int[Array, ""]
     level: Int[Array, ""]
     visited: list[tuple[Int[Array, ""], Bool[Array, ""]]]
+
+
+def return_of(
+    rewards: Float[Array, "H"],
+    terminated: Bool[Array, "H"],
+    number: Int[Array, ""],
+    discount: Float[Array, ""],
+) -> Float[Array, ""]:
+    """The return of the first `number` simulated paths, without rewards after a terminal state."""
+    # Backwards, R_t = r_t + gamma R_(t+1). What is cut off may be any number, even NaN, which `where` stops.
+    value = jnp.zeros((), discount.dtype)
+    for step in reversed(range(rewards.shape[0])):
+        later = jnp.where(terminated[step], 0.0, discount * value)
+        value = jnp.where(step < number, rewards[step] + later, 0.0)
+    return value
 
 
 def _at(rows: View, node: Int[Array, ""]) -> View:
