@@ -14,10 +14,10 @@ from bojax.models.checks import is_known
 from bojax.numerics.lanes import TREES
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
-from bojax.planning.belief_tree import BeliefTree
 from bojax.planning.leaf_values import LeafValue, Policy, StateValue
 from bojax.planning.oracles import policy_named
 from bojax.planning.root_parallel import recommended_by_all
+from bojax.planning.tree import Tree
 from bojax.problems import particles
 from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
@@ -147,7 +147,7 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
 
     @abc.abstractmethod
     @override
-    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
         """States to estimate a leaf value from at `node`, where the horizon is reached."""
 
     @override

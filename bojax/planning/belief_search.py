@@ -16,9 +16,9 @@ from jaxtyping import Array, Bool, Float, Int, Key, Num
 from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
-from bojax.planning.belief_tree import Belief, BeliefTree, Growth, Widening, row
 from bojax.planning.proposals import Proposal
-from bojax.planning.tree import ROOT, write_row
+from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Tree, row, upper_bound, write_row
+from bojax.planning.widening import Widening
 from bojax.problems.actions import Discrete
 
 RECOMMENDATIONS = "value", "visits"
@@ -34,7 +34,7 @@ Leaf = Any
 Draw = Callable[
     [
         Key[Array, ""],
-        BeliefTree,
+        Tree,
         Float[Array, "D"],
         Float[Array, "K"],
         Int[Array, "B"],
@@ -122,7 +122,7 @@ class BeliefTreeSearch(eqx.Module):
         self,
         key: Key[Array, ""],
         problem: Model,
-        tree: BeliefTree,
+        tree: Tree,
         state: Float[Array, "D"],
         action: Float[Array, "K"],
         branch: Int[Array, ""],
@@ -142,7 +142,7 @@ class BeliefTreeSearch(eqx.Module):
         self,
         key: Key[Array, ""],
         problem: Model,
-        tree: BeliefTree,
+        tree: Tree,
         state: Float[Array, "D"],
         node: Int[Array, ""],
         action: Float[Array, "K"],
@@ -150,7 +150,7 @@ class BeliefTreeSearch(eqx.Module):
         """A new branch of an action at the belief node `node`."""
 
     @abc.abstractmethod
-    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> Leaf:
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> Leaf:
         """What a value is estimated from at `node`, as in `Expansion`, where the horizon is reached."""
 
     @abc.abstractmethod
@@ -164,19 +164,21 @@ class BeliefTreeSearch(eqx.Module):
         """Whether the action of the highest value is recommended, or else that of the most visits."""
         return self.recommendation.is_("value")
 
-    def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> BeliefTree:
+    def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Tree:
         """The tree after all iterations."""
         key_root, key_states, key_first, key_search = jax.random.split(simulation_key(key), 4)
         space = problem.actions
         num_actions = space.count if isinstance(space, Discrete) else self.max_actions
         example = jax.eval_shape(space.sample, key)
         first = self.first(key_first, problem, belief)
-        tree = BeliefTree.rooted(
-            self.root(key_root, problem, belief),
-            jnp.zeros(example.shape, example.dtype),
+        root = self.root(key_root, problem, belief)
+        tree = Tree.rooted(
+            root,
             self.iterations,
             num_actions,
-            self.max_branches,
+            jax.tree.leaves(root)[0].dtype,
+            num_branches=self.max_branches,
+            parameters=jnp.zeros(example.shape, example.dtype),
             num_totals=2 if self.proposal.target is None else 4,
         )
         states = self.states(key_states, belief)
@@ -185,7 +187,7 @@ class BeliefTreeSearch(eqx.Module):
             for_actions = jnp.zeros_like(for_actions)
         rules = _Rules(for_actions, self.observation_widening.thresholds(self.max_branches))
 
-        def iterate(i: Int[Array, ""], tree: BeliefTree) -> BeliefTree:
+        def iterate(i: Int[Array, ""], tree: Tree) -> Tree:
             return self._iterate(problem, rules, first, tree, jax.random.fold_in(key_search, i), states[i], i)
 
         return jax.lax.fori_loop(0, self.iterations, iterate, tree)
@@ -195,13 +197,13 @@ class BeliefTreeSearch(eqx.Module):
         problem: Model,
         rules: "_Rules",
         first: Num[Array, "P"] | None,
-        tree: BeliefTree,
+        tree: Tree,
         key: Key[Array, ""],
         state: Float[Array, "D"],
         i: Int[Array, ""],
-    ) -> BeliefTree:
+    ) -> Tree:
         key_descent, key_proposal, key_expansion, key_leaf = jax.random.split(key, 4)
-        tree, end = self._descend(problem, rules, tree, key_descent, state)
+        tree, end = self._descend(problem, rules, tree, key_descent, state, i + 1)
         if self.draw_of(problem) is not None:  # the key of the draw whose observation was new
             *_, key_expansion = _level_keys(jax.random.clone(key_descent), end.level)
 
@@ -221,30 +223,34 @@ class BeliefTreeSearch(eqx.Module):
         # precede the write of the new one. So the write waits for the return, by a condition that is never
         # true. (Reading from the grown tree instead is slower in a batch.)
         waits = (i < 0) & (gain > 0.0)
+        num_nodes, num_actions = tree.children.shape
         growth = Growth(
-            iteration=i,
+            index=i + 1,
             belief=jax.tree.map(lambda leaf: jnp.where(waits, jnp.zeros_like(leaf), leaf), expansion.belief),
             outcome=jnp.stack([expansion.reward, expansion.is_terminal.astype(gain.dtype)]),
-            parameters=parameters,
+            credited=end.actions,
+            added=self._back_up(problem.discount, tree, end, expansion.reward, gain, future),
             node=end.node,
-            slot=end.slot,
-            action=jnp.where(end.is_new_action, i, end.action),
+            slot=jnp.where(end.is_expanded & end.is_new_action, end.slot, num_actions),
+            action=jnp.where(end.is_expanded, end.action, num_nodes),
             branch=end.branch,
-            is_new_action=end.is_expanded & end.is_new_action,
-            is_new_branch=end.is_expanded,
+            parameters=parameters,
         )
-        totals = self._back_up(problem.discount, tree.totals, end, expansion.reward, gain, future)
-        return eqx.tree_at(lambda tree: tree.totals, tree, totals).grown(growth)
+        return tree.grown(growth)
 
     def _descend(
         self,
         problem: Model,
         rules: "_Rules",
-        tree: BeliefTree,
+        tree: Tree,
         key: Key[Array, ""],
         state: Float[Array, "D"],
-    ) -> tuple[BeliefTree, "_Descent"]:
-        """Descend from the root until an action or a branch is added, or the simulation ends."""
+        new: Int[Array, ""],
+    ) -> tuple[Tree, "_Descent"]:
+        """Descend from the root until an action or a branch is added, or the simulation ends.
+
+        `new` is the index of the action node that may be added.
+        """
         nowhere, draw = tree.totals.shape[0], self.draw_of(problem)
 
         def is_active(carry: tuple[Belief, _Descent]) -> Bool[Array, ""]:
@@ -253,16 +259,19 @@ class BeliefTreeSearch(eqx.Module):
         def next_level(carry: tuple[Belief, _Descent]) -> tuple[Belief, _Descent]:
             beliefs, at = carry
             key_branch, key_follow, key_draw = _level_keys(key, at.turn)
-            totals = row(tree.totals, at.node)
+            children = row(tree.children, at.node)
+            totals = tree.totals_of(children)
             slot = self._select(rules, totals)
             visits = row(totals[:, 0], slot)
-            action_node = row(tree.children, at.node, slot)
-            parameters = row(tree.parameters, action_node)
+            action_node = row(children, slot)
+            is_new_action = action_node == UNVISITED
+            taken = jnp.where(is_new_action, new, action_node)
+            parameters = tree.parameters_of(action_node)
             action = problem.actions.decode(parameters)
             grown = eqx.tree_at(lambda tree: tree.beliefs, tree, beliefs)
             num_allowed = jnp.sum(rules.for_branches <= visits, dtype=jnp.int32)
             if draw is not None:
-                branches = jnp.where(visits > 0.0, row(tree.branches, action_node), ROOT)
+                branches = tree.branches_of(action_node)
                 num_branches = jnp.sum(branches != ROOT, dtype=jnp.int32)
                 draws = num_allowed > num_branches
                 is_counted = at.is_active & draws
@@ -274,7 +283,7 @@ class BeliefTreeSearch(eqx.Module):
                 # The number of branches is that of the thresholds which the earlier visits have reached.
                 num_branches = jnp.sum(rules.for_branches <= visits - 1.0, dtype=jnp.int32)
                 adds = num_allowed > num_branches
-                branch = row(tree.branches, action_node, random_index(key_branch, num_branches))
+                branch = tree.branches_of(action_node, random_index(key_branch, num_branches))
             is_followed = at.is_active & ~adds
             beliefs, state, reward, ended = self.follow(
                 key_follow, problem, grown, at.state, action, branch, is_followed
@@ -287,15 +296,14 @@ class BeliefTreeSearch(eqx.Module):
                 node=jnp.where(is_followed, branch, at.node),
                 state=jnp.where(is_followed, state, at.state),
                 slot=jnp.where(at.is_active, slot, at.slot),
-                action=jnp.where(at.is_active, action_node, at.action),
+                action=jnp.where(at.is_active, taken, at.action),
                 parameters=jnp.where(at.is_active, parameters, at.parameters),
                 branch=jnp.where(at.is_active, num_branches, at.branch),
-                is_new_action=jnp.where(at.is_active, visits == 0.0, at.is_new_action),
+                is_new_action=jnp.where(at.is_active, is_new_action, at.is_new_action),
                 is_active=is_followed & ~ended & (level < self.depth),
                 is_expanded=jnp.where(at.is_active, adds, at.is_expanded),
                 is_at_horizon=at.is_at_horizon | (is_followed & ~ended & (level == self.depth)),
-                nodes=write_row(at.nodes, at.turn, jnp.where(at.is_active, at.node, nowhere)),
-                slots=write_row(at.slots, at.turn, slot),
+                actions=write_row(at.actions, at.turn, jnp.where(at.is_active, taken, nowhere)),
                 rewards=write_row(at.rewards, at.turn, jnp.where(is_followed, reward, 0.0)),
             )
 
@@ -307,14 +315,13 @@ class BeliefTreeSearch(eqx.Module):
             state=state,
             slot=zero,
             action=zero,
-            parameters=jnp.zeros_like(tree.parameters[0]),
+            parameters=jnp.zeros_like(tree.parameters_of(zero)),
             branch=zero,
             is_new_action=no,
             is_active=~no,
             is_expanded=no,
             is_at_horizon=no,
-            nodes=jnp.full((self.depth,), nowhere, jnp.int32),
-            slots=jnp.zeros((self.depth,), jnp.int32),
+            actions=jnp.full((self.depth,), nowhere, jnp.int32),
             rewards=jnp.zeros((self.depth,), state.dtype),
         )
         beliefs, end = jax.lax.while_loop(is_active, next_level, (tree.beliefs, start))
@@ -322,26 +329,25 @@ class BeliefTreeSearch(eqx.Module):
 
     def _select(self, rules: "_Rules", totals: Float[Array, "A T"]) -> Int[Array, ""]:
         """The action of the highest upper confidence bound, among those that exist or may be added now."""
-        visits, returns = totals[:, 0], totals[:, 1]
+        visits = totals[:, 0]
         at_node = jnp.sum(visits)
-        divisor = jnp.maximum(visits, 1.0)
-        bonus = self.exploration * jnp.sqrt(jnp.log(jnp.maximum(at_node, 1.0)) / divisor)
-        score = jnp.where(visits > 0.0, returns / divisor + bonus, self.score_unvisited(at_node))
+        bounds = upper_bound(totals, at_node, self.exploration)
+        score = jnp.where(visits > 0.0, bounds, self.score_unvisited(at_node))
         return jnp.argmax(jnp.where(rules.for_actions <= at_node, score, -jnp.inf)).astype(jnp.int32)
 
     def _propose(
         self,
         problem: Model,
         first: Num[Array, "P"] | None,
-        tree: BeliefTree,
+        tree: Tree,
         key: Key[Array, ""],
         end: "_Descent",
     ) -> Num[Array, "P"]:
         """The parameters of the action that the descent has ended with: a new one, or that of the tree."""
         space = problem.actions
         if isinstance(space, Discrete):
-            return end.slot[None].astype(tree.parameters.dtype)
-        totals = row(tree.totals, end.node)
+            return end.slot[None].astype(end.parameters.dtype)
+        totals = tree.totals_of(row(tree.children, end.node))
         proposed = self.proposal(key, space, tree, end.node, totals)
         if first is not None:
             proposed = jnp.where((end.node == ROOT) & (end.slot == 0), first, proposed)
@@ -352,41 +358,41 @@ class BeliefTreeSearch(eqx.Module):
     def _back_up(
         self,
         discount: Float[Array, ""],
-        totals: Float[Array, "V A T"],
+        tree: Tree,
         end: "_Descent",
         new_reward: Float[Array, ""],
         gain: Float[Array, ""],
         future: Float[Array, ""],
-    ) -> Float[Array, "V A T"]:
-        """Credit every action on the way with its own reward and all later ones.
+    ) -> Float[Array, "H T"]:
+        """What `end.actions` are credited with: each action's own reward and all later ones.
 
         `new_reward` and `gain` are the reward and the return of the new branch, `future` is the value of a
         belief at the horizon.
         """
         num_levels = largest_in_lanes(end.turn)
         last = jnp.where(end.is_expanded, end.level, self.depth)
-        one = jnp.ones((), totals.dtype)
 
         def level_above(k: Int[Array, ""], carry):
-            totals, later = carry
+            returns, later = carry
             level = num_levels - 1 - k
             reward = jnp.where(level == last, gain, end.rewards[level])
             later = jnp.where(level > last, 0.0, reward + discount * later)
-            node, slot = end.nodes[level], end.slots[level]
-            added = [one, later]
-            if self.proposal.target is not None:
-                immediate = jnp.where(level == last, new_reward, end.rewards[level])
-                target = later if self.proposal.target == "return" else immediate
-                # Welford: squares of deviations, since a sum of squares would cancel in float32.
-                visits, _, total, _ = totals.at[node, slot].get(mode="clip")
-                before = jnp.where(visits > 0.0, total / jnp.maximum(visits, 1.0), target)
-                after = (total + target) / (visits + 1.0)
-                added += [target, (target - before) * (target - after)]
-            return totals.at[node, slot].add(jnp.stack(added), mode="drop"), later
+            return write_row(returns, level, later), later
 
         # A lane that has reached the horizon has as many levels as any.
-        later = jnp.where(end.is_at_horizon, future, 0.0)
-        return jax.lax.fori_loop(0, num_levels, level_above, (totals, later))[0]
+        start = jnp.zeros_like(end.rewards), jnp.where(end.is_at_horizon, future, 0.0)
+        returns, _ = jax.lax.fori_loop(0, num_levels, level_above, start)
+        added = [jnp.ones_like(returns), returns]
+        if self.proposal.target is not None:
+            levels = jnp.arange(self.depth, dtype=jnp.int32)
+            rewards = jnp.where(levels == last, new_reward, end.rewards)
+            target = returns if self.proposal.target == "return" else rewards
+            # Welford: squares of deviations, since a sum of squares would cancel in float32.
+            visits, _, total, _ = tree.totals.at[end.actions].get(mode="clip").T
+            before = jnp.where(visits > 0.0, total / jnp.maximum(visits, 1.0), target)
+            after = (total + target) / (visits + 1.0)
+            added += [target, (target - before) * (target - after)]
+        return jnp.stack(added, axis=-1)
 
 
 def _level_keys(key: Key[Array, ""], level: Int[Array, ""]) -> Key[Array, "3"]:
@@ -419,15 +425,14 @@ class _Descent(eqx.Module):
         node: Belief node reached.
         state: State of the simulation there.
         slot: Position of the action chosen there.
-        action: Its action node, if it has one.
+        action: Its action node.
         parameters: The parameters of that action node.
         branch: Number of branches of that action.
         is_new_action: Whether the action has no visit yet.
         is_active: Whether the descent goes on.
         is_expanded: Whether it has ended with a new branch.
         is_at_horizon: Whether it has ended at a belief node without actions, at the horizon.
-        nodes: Belief node of each level; past the end for levels that were not reached.
-        slots: Position of the action chosen at each level.
+        actions: Action node chosen at each level; past the end for levels that were not reached.
         rewards: Reward of the branch followed at each level.
     """
 
@@ -443,6 +448,5 @@ class _Descent(eqx.Module):
     is_active: Bool[Array, ""]
     is_expanded: Bool[Array, ""]
     is_at_horizon: Bool[Array, ""]
-    nodes: Int[Array, "H"]
-    slots: Int[Array, "H"]
+    actions: Int[Array, "H"]
     rewards: Float[Array, "H"]

@@ -32,14 +32,13 @@ class NodeModels(eqx.Module):
 
     The observations of a node's process are the node's actions. Each one is stored with the child that the
     action leads to: its parameters, and the rows that it appended to the inverse Cholesky factor and to the
-    whitened covariances of the candidates; its value is the reward in the tree.
+    whitened covariances of the candidates; its value is the reward in the tree. The row of the root is zero.
 
     Attributes:
         candidates: Parameters over which acquisitions are maximised and from which rollouts draw.
         paths: Paths of the candidates.
-        actions: Parameters and row in the factor of the action that leads to each node, see `NodeAction`; the
-            last row is zero.
-        whitened: Row of the same action in the whitened covariances of the candidates; the last row is zero.
+        actions: Parameters and row in the factor of the action that leads to each node, see `NodeAction`.
+        whitened: Row of the same action in the whitened covariances of the candidates.
         has_converged: Whether the same action was within `convergence` of the action before it.
     """
 
@@ -47,18 +46,18 @@ class NodeModels(eqx.Module):
     # Parameters and row are one array, since each array costs a GPU a kernel in every iteration.
     candidates: Float[Array, "C D"]
     paths: Float[Array, "C S 3"]
-    actions: Float[Array, "M K"]
-    whitened: Float[Array, "M C"]
+    actions: Float[Array, "N K"]
+    whitened: Float[Array, "N C"]
     has_converged: Bool[Array, "N"]
 
     @property
     def params(self) -> Float[Array | np.ndarray, "N D"]:
         """Parameters of the action that leads to each node."""
-        return self.actions[:-1, : self.candidates.shape[1]]
+        return self.actions[:, : self.candidates.shape[1]]
 
     def children(self, nodes: Int[Array, "A"]) -> "NodeAction":
         """The actions that lead to the children of a node; zeros for `UNVISITED`."""
-        # UNVISITED is -1, which reads the last row; no child has this row, and it stays zero.
+        # UNVISITED reads the row of the root, to which no action leads: it stays zero.
         params, row = jnp.split(self.actions[nodes], [self.candidates.shape[1]], axis=-1)
         return NodeAction(params, row, self.whitened[nodes])
 
@@ -153,8 +152,8 @@ class ContinuousBeliefTreeSearch(
         memory = NodeModels(
             candidates=candidates,
             paths=jax.vmap(self.motions.path)(candidates),
-            actions=jnp.zeros((num_nodes + 1, self.motions.num_params + self.num_actions), dtype),
-            whitened=jnp.zeros((num_nodes + 1, self.num_candidates), dtype),
+            actions=jnp.zeros((num_nodes, self.motions.num_params + self.num_actions), dtype),
+            whitened=jnp.zeros((num_nodes, self.num_candidates), dtype),
             has_converged=jnp.zeros((num_nodes,), bool),
         )
         # Both sets of numbers come from one call, since random draws are slow to compile. As every element is

@@ -16,9 +16,8 @@ from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import first_maximum
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
-from bojax.planning.belief_tree import BeliefTree, row
 from bojax.planning.proposals import Proposal, Target
-from bojax.planning.tree import ROOT
+from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.actions import ActionSpace
 
 PRIOR_DEGREES = 2.0
@@ -85,7 +84,7 @@ class GaussianProcessProposal(Proposal):
         self,
         key: Key[Array, ""],
         space: ActionSpace,
-        tree: BeliefTree,
+        tree: Tree,
         node: Int[Array, ""],
         totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
@@ -97,10 +96,10 @@ class GaussianProcessProposal(Proposal):
         return candidates[jnp.where(process.count < self.num_initial, 0, best)]
 
     def process(
-        self, space: ActionSpace, tree: BeliefTree, node: Int[Array, ""], totals: Float[Array, "A T"]
+        self, space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Float[Array, "A T"]
     ) -> GaussianProcess:
         """The process of a node, from points (coordinates and level) to standardised means."""
-        parameters = row(tree.parameters, row(tree.children, node))
+        parameters = tree.parameters_of(row(tree.children, node))
         visits, _, sums, deviations = totals.T
         exists = visits > 0.0
         num = jnp.maximum(visits, 1.0)
@@ -111,7 +110,7 @@ class GaussianProcessProposal(Proposal):
         # Equal means carry no information about the surface: they are scaled to 0.
         scale = jnp.where(spread > 1e-12 * centre**2, spread, 1.0)
 
-        pooled = _pooled(row(tree.totals, jnp.asarray(ROOT, jnp.int32)), scale)
+        pooled = _pooled(tree.totals_of(tree.children[ROOT]), scale)
         pooled = _pooled(totals, pooled)
         each = (PRIOR_DEGREES * pooled + deviations) / (PRIOR_DEGREES + num - 1.0)
         return GaussianProcess.fit(

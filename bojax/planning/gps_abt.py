@@ -11,7 +11,7 @@ from typing_extensions import override
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.loops import short_loop
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import ROOT, UNVISITED, Tree, write_row
+from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound, write_row
 from bojax.problems.base import Objective
 
 CENTRE = 0  # index of the centre among the points of a stencil
@@ -280,14 +280,14 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             is_inside = _is_inside(memory.points(stencil))
             # Points outside the box are never simulated: their mean return is minus infinity.
             member = jnp.where(is_inside, memory.member[stencil], UNVISITED)
-            visits = jnp.where(member == UNVISITED, 0.0, tree.totals[member][:, 0])
-            mean = tree.mean_return(member)
+            totals = tree.totals_of(member)
+            visits, mean = totals[:, 0], tree.mean_return(member)
             # The descent ends at a stencil with unvisited points.
             has_unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
 
             # The best action on the way by upper confidence bound, if this node neither adds nor refines one;
             # and the most visited of the best points, which is the plan at the root.
-            bound = mean + self.exploration * jnp.sqrt(jnp.log(visits_of_node) / jnp.maximum(visits, 1.0))
+            bound = upper_bound(totals, visits_of_node, self.exploration)
             highest = jnp.argmax(bound)
             is_higher = is_walking & (bound[highest] > descent.best_bound)
             best = jnp.argmax(mean).astype(jnp.int32)

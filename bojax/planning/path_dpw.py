@@ -15,9 +15,8 @@ from typing_extensions import override
 from bojax.motions.base import ContinuousMotions
 from bojax.planning.base import PathPlanner, Plan
 from bojax.planning.belief_search import BeliefTreeSearch, Expansion
-from bojax.planning.belief_tree import BeliefTree, row
 from bojax.planning.search import return_of
-from bojax.planning.tree import ROOT
+from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.actions import Box
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import Node, PathProblem, Root
@@ -78,7 +77,7 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         tree = self.search(key_search, model, belief)
         best = tree.root_actions().recommended(self.by_value)
         # The reward of a path is that under the belief before it, which its branches share.
-        branch = tree.branches[tree.children[ROOT, best.slot], 0]
+        branch = tree.branches_of(tree.children[ROOT, best.slot])[0]
         return Plan(
             self.motions.path(best.parameters),
             tree.outcome[branch, 0],
@@ -106,7 +105,7 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         self,
         key: Key[Array, ""],
         problem: PathModel,
-        tree: BeliefTree,
+        tree: Tree,
         state: Float[Array, "0"],
         node: Int[Array, ""],
         action: Float[Array, "K"],
@@ -120,7 +119,7 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         return Expansion(simulated.node, simulated.rewards[0], simulated.terminated[0], rollout)
 
     @override
-    def leaf_at(self, tree: BeliefTree, state: Float[Array, "0"], node: Int[Array, ""]) -> RolloutRewards:
+    def leaf_at(self, tree: Tree, state: Float[Array, "0"], node: Int[Array, ""]) -> RolloutRewards:
         """No reward: at the horizon, nothing follows."""
         return RolloutRewards(jnp.zeros(self.depth - 1, state.dtype), jnp.ones(self.depth - 1, bool))
 

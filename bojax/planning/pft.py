@@ -10,10 +10,9 @@ from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import matmul
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Expansion
-from bojax.planning.belief_tree import BeliefTree, row
 from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums
 from bojax.planning.oracles import policy_named
-from bojax.planning.tree import ROOT
+from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.particles import Particles, systematic
 from bojax.problems.state_space import StateProblem
 
@@ -189,7 +188,7 @@ class PFT(BeliefSearch):
         self,
         key: Key[Array, ""],
         problem: StateProblem,
-        tree: BeliefTree,
+        tree: Tree,
         state: Float[Array, "D"],
         node: Int[Array, ""],
         action: Float[Array, "K"],
@@ -206,7 +205,7 @@ class PFT(BeliefSearch):
         return Expansion(after, reward, is_terminal, States(after.states, after.alive))
 
     @override
-    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
         return States(row(tree.beliefs.states, node), row(tree.beliefs.alive, node))
 
 

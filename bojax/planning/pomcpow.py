@@ -11,8 +11,7 @@ from typing_extensions import override
 from bojax.numerics.simulation_keys import random_index
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Draw, Expansion
-from bojax.planning.belief_tree import BeliefTree, row
-from bojax.planning.tree import ROOT
+from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
@@ -76,7 +75,7 @@ class POMCPOW(BeliefSearch):
         self,
         key: Key[Array, ""],
         problem: StateProblem,
-        tree: BeliefTree,
+        tree: Tree,
         state: Float[Array, "D"],
         action: Float[Array, "K"],
         branch: Int[Array, ""],
@@ -107,7 +106,7 @@ class POMCPOW(BeliefSearch):
         self,
         key: Key[Array, ""],
         problem: StateProblem,
-        tree: BeliefTree,
+        tree: Tree,
         state: Float[Array, "D"],
         node: Int[Array, ""],
         action: Float[Array, "K"],
@@ -124,14 +123,14 @@ class POMCPOW(BeliefSearch):
         return Expansion(belief, reward, ended, States(next_state[None], ~ended[None]))
 
     @override
-    def leaf_at(self, tree: BeliefTree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
         return States(state[None], jnp.ones((1,), bool))
 
 
 def _draw(
     problem: StateProblem,
     key: Key[Array, ""],
-    tree: BeliefTree,
+    tree: Tree,
     state: Float[Array, "D"],
     action: Float[Array, "K"],
     branches: Int[Array, "B"],

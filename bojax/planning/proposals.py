@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
-from bojax.planning.belief_tree import BeliefTree, row
+from bojax.planning.tree import Tree, row
 from bojax.problems.actions import ActionSpace
 
 Target = Literal["reward", "return"]
@@ -29,7 +29,7 @@ class Proposal(eqx.Module):
         self,
         key: Key[Array, ""],
         space: ActionSpace,
-        tree: BeliefTree,
+        tree: Tree,
         node: Int[Array, ""],
         totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
@@ -44,7 +44,7 @@ class RandomProposal(Proposal):
         self,
         key: Key[Array, ""],
         space: ActionSpace,
-        tree: BeliefTree,
+        tree: Tree,
         node: Int[Array, ""],
         totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
@@ -77,7 +77,7 @@ class VoronoiProposal(Proposal):
         self,
         key: Key[Array, ""],
         space: ActionSpace,
-        tree: BeliefTree,
+        tree: Tree,
         node: Int[Array, ""],
         totals: Float[Array, "A T"],
     ) -> Float[Array, "P"]:
@@ -87,7 +87,7 @@ class VoronoiProposal(Proposal):
                 "parameter of an action"
             )
         key_choice, key_random, key_candidates = jax.random.split(key, 3)
-        actions = row(tree.parameters, row(tree.children, node))
+        actions = tree.parameters_of(row(tree.children, node))
         visits, returns = totals[:, 0], totals[:, 1]
         exists = visits > 0.0
         best = jnp.argmax(jnp.where(exists, returns / jnp.maximum(visits, 1.0), -jnp.inf))

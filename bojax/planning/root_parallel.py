@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
-from bojax.planning.belief_tree import Recommendation, RootActions
+from bojax.planning.tree import Recommendation, RootActions
 from bojax.problems.actions import ActionSpace
 
 

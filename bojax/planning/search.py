@@ -127,7 +127,7 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         dtype = self.discount.dtype
         key_begin, key_simulate = jax.random.split(key)
         root, root_node = problem.with_objective(self.objective).root(belief, self.depth)
-        tree = Tree.rooted(root_node, self.iterations + 1, self.num_actions, dtype)
+        tree = Tree.rooted(root_node, self.iterations, self.num_actions, dtype)
         memory, draws = self.begin(key_begin, dtype)
         # Every node starts with the root's view as a placeholder: its own is computed in the iteration after
         # the one that adds it, before a descent can reach it.
@@ -143,10 +143,18 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         # Iteration i may add node i + 1 and no other. The first iteration writes a growth that changes
         # nothing.
         children = jnp.arange(1, self.iterations + 1, dtype=jnp.int32)
-        growth = Growth.nothing(tree, self.depth + 1)
-        without_child = eqx.tree_at(lambda growth: growth.child, growth, None)
-        tree, views, batched = batched_together((tree, views, without_child))
-        # `child` stays out of the batch: an index that all lanes share is written without a scatter.
+        growth = Growth(
+            index=children[0],
+            belief=root_node,
+            outcome=jnp.zeros((2,), dtype),
+            credited=jnp.full((self.depth + 1,), self.iterations + 1, jnp.int32),
+            added=jnp.zeros((self.depth + 1, 2), dtype),
+            node=jnp.asarray(ROOT, jnp.int32),
+            slot=jnp.asarray(self.num_actions, jnp.int32),
+        )
+        without_index = eqx.tree_at(lambda growth: growth.index, growth, None)
+        tree, views, batched = batched_together((tree, views, without_index))
+        # `index` stays out of the batch: an index that all lanes share is written without a scatter.
         carry = tree, memory, views, eqx.combine(batched, growth)
         (tree, memory, _, growth), _ = jax.lax.scan(iterate, carry, (children, draws, keys))
         return tree.grown(growth), memory  # the growth of the last iteration is still to be written
@@ -169,9 +177,9 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         tree = tree.grown(growth)
         # The view of a node changes only when a simulation passes through it. The nodes visited last renew
         # theirs as one batch, and the descent below only reads: half the kernels, on a GPU, of a descent that
-        # computes the views level by level. Nodes at the horizon (`nodes[0]`) have no actions and need no
+        # computes the views level by level. Nodes at the horizon (`credited[0]`) have no actions and need no
         # view; the index of a level that was not reached is past the end, and its write is dropped.
-        visited = growth.nodes[1:]
+        visited = growth.credited[1:]
         renewed = jax.vmap(self.view, in_axes=(None, None, 0))(tree, memory, visited)
         views = jax.tree.map(lambda all, new: all.at[visited].set(new, mode="drop"), views, renewed)
 
@@ -186,19 +194,19 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         # Expand and roll out in one simulation: the action and all random ones after it, from this node.
         proposal = self.propose(tree, memory, node, _at(views, node), draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
-        simulation = problem.simulate(key, root, _at(tree.belief, node), paths, self.objective)
+        simulation = problem.simulate(key, root, _at(tree.beliefs, node), paths, self.objective)
         # All lanes simulate equally many paths, from nodes of different levels.
         future = return_of(simulation.rewards, simulation.terminated, self.depth - level, self.discount)
 
         nodes, gained = self._back_up(tree, descent, child, is_new, future)
         growth = Growth(
-            child=child,
+            index=child,
             belief=simulation.node,
             outcome=jnp.stack([simulation.rewards[0], simulation.terminated[0].astype(future.dtype)]),
-            nodes=nodes,
-            totals=jnp.stack([jnp.ones_like(gained), gained], axis=-1),
-            parent=node,
-            index=jnp.where(is_new, proposal.index, tree.children.shape[1]),
+            credited=nodes,
+            added=jnp.stack([jnp.ones_like(gained), gained], axis=-1),
+            node=node,
+            slot=jnp.where(is_new, proposal.index, self.num_actions),
         )
         return tree, self.learn(memory, child, proposal, is_new), views, growth
 

@@ -181,7 +181,7 @@ class Widening(Component, frozen=True):
 
     role: ClassVar[str] = "widening"
     plural: ClassVar[str] = "rules of widening"
-    target: ClassVar[str] = "bojax.planning.belief_tree:Widening"
+    target: ClassVar[str] = "bojax.planning.widening:Widening"
     kind: Literal["power"] = "power"
     coefficient: float = Field(default=30.0, gt=0, description="factor k")
     exponent: float = Field(default=1 / 30, gt=0, le=1, description="exponent alpha")

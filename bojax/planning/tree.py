@@ -1,128 +1,256 @@
-"""A belief tree in flat, preallocated arrays."""
+"""A tree of action nodes and belief nodes in flat, preallocated arrays.
+
+Iteration i of a search adds at most one belief node and one action node, both with the index i + 1, so that
+all lanes of a batch write new nodes at the same index. Where every action has one branch, an action node and
+its belief node share an index, and no branches are stored.
+"""
+
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
-
-from bojax.problems.path_problem import Node
+from jaxtyping import Array, Bool, Float, Int, Num
 
 ROOT = 0  # index of the root node
-UNVISITED = -1  # marks an action that has not been simulated
+UNVISITED = ROOT  # marks an action or a branch that does not exist: nothing leads to the root
+
+Belief = Any
+"""What a planner stores for a belief node: a tree of arrays."""
 
 
 class Tree(eqx.Module):
-    """N belief nodes with at most A actions each.
-
-    Each action has one observation branch, so that an action and the belief that it leads to share an index:
-    `reward`, `visits` and `total_return` of a node belong to the action that leads to it.
+    """N belief nodes with at most A actions each, and N action nodes with at most B branches each.
 
     Attributes:
-        belief: Beliefs of the nodes.
-        outcome: `reward` and `is_terminal` of the nodes.
-        totals: `visits` and `total_return` of the nodes.
-        children: Nodes that the actions of a node lead to; `UNVISITED` for actions that do not exist yet.
+        beliefs: Beliefs, each array with a leading axis of belief nodes.
+        outcome: Reward of the branch that leads to a belief node, and whether the episode has ended there.
+        totals: Number of visits and sum of returns of each action node; for a proposal that learns, also the
+            sum of its target and of squared deviations from the mean target. A search may count its
+            simulations in the row of the root.
+        children: Action node of each action of a belief node, or `UNVISITED`.
+        branches: Belief node of each branch of an action node, in the order in which they were added, or
+            `UNVISITED`; None for one branch an action.
+        parameters: Parameters of the action of an action node; None if the planner stores them elsewhere.
     """
 
     # Numbers that are written together are one array: each array costs a GPU a kernel in every iteration.
-    belief: Node
+    beliefs: Belief
     outcome: Float[Array, "N 2"]
-    totals: Float[Array, "N 2"]
+    totals: Float[Array, "N T"]
     children: Int[Array, "N A"]
+    branches: Int[Array, "N B"] | None
+    parameters: Num[Array, "N P"] | None
 
     @classmethod
-    def rooted(cls, belief: Node, num_nodes: int, num_actions: int, dtype) -> "Tree":
-        """A tree with only a root."""
-        beliefs = jax.tree.map(
-            lambda leaf: jnp.zeros((num_nodes, *leaf.shape), leaf.dtype).at[ROOT].set(leaf), belief
-        )
+    def rooted(
+        cls,
+        belief: Belief,
+        iterations: int,
+        num_actions: int,
+        dtype,
+        *,
+        num_branches: int | None = None,
+        parameters: Num[Array, "P"] | None = None,
+        num_totals: int = 2,
+    ) -> "Tree":
+        """A tree with only a root, and room for the nodes of all iterations.
+
+        Args:
+            belief: Belief of the root.
+            iterations: Number of iterations.
+            num_actions: Capacity A of a belief node.
+            dtype: Type of rewards and returns.
+            num_branches: Capacity B of an action node; None for one branch an action.
+            parameters: Parameters of any action; None if they are stored elsewhere.
+            num_totals: Number of sums for each action node.
+        """
+        num = iterations + 1
+
+        def empty(leaf: Array) -> Array:
+            return jnp.zeros((num, *leaf.shape), leaf.dtype)
+
         return cls(
-            belief=beliefs,
-            outcome=jnp.zeros((num_nodes, 2), dtype),
-            totals=jnp.zeros((num_nodes, 2), dtype),
-            children=jnp.full((num_nodes, num_actions), UNVISITED, jnp.int32),
+            beliefs=jax.tree.map(lambda leaf: empty(leaf).at[ROOT].set(leaf), belief),
+            outcome=jnp.zeros((num, 2), dtype),
+            totals=jnp.zeros((num, num_totals), dtype),
+            children=jnp.full((num, num_actions), UNVISITED, jnp.int32),
+            branches=None if num_branches is None else jnp.full((num, num_branches), UNVISITED, jnp.int32),
+            parameters=None if parameters is None else empty(parameters),
         )
 
     @property
-    def reward(self) -> Float[Array | np.ndarray, "*B N"]:
-        """Reward of the action that leads to a node."""
+    def reward(self) -> Float[Array | np.ndarray, "*L N"]:
+        """Reward of the branch that leads to a belief node."""
         return self.outcome[..., 0]
 
     @property
-    def is_terminal(self) -> Bool[Array | np.ndarray, "*B N"]:
-        """Whether the episode has ended at a node."""
+    def is_terminal(self) -> Bool[Array | np.ndarray, "*L N"]:
+        """Whether the episode has ended at a belief node."""
         return self.outcome[..., 1] > 0.0
 
     @property
-    def visits(self) -> Float[Array | np.ndarray, "*B N"]:
-        """Number of simulations through a node; for the root, of all simulations."""
+    def visits(self) -> Float[Array | np.ndarray, "*L N"]:
+        """Number of simulations through an action node."""
         return self.totals[..., 0]
 
     @property
-    def total_return(self) -> Float[Array | np.ndarray, "*B N"]:
-        """Sum of the returns of these simulations, from the action that leads to the node on."""
+    def total_return(self) -> Float[Array | np.ndarray, "*L N"]:
+        """Sum of the returns of these simulations, from the action on."""
         return self.totals[..., 1]
 
     def grown(self, growth: "Growth") -> "Tree":
         """The tree after a simulation."""
-        # The row of the child is written even if no node is added: no parent refers to it, and the same
-        # iteration of every lane writes the same row, without a scatter. Visits and returns go to a different
-        # node in every lane, so these are scatters; indices past the end are dropped.
-        child = growth.child
+        # The rows of new nodes are written even if no node is added: nothing refers to them then, and the
+        # same iteration of every lane writes the same row, without a scatter. Totals and links are other rows
+        # in every lane, so these are scatters; indices past the end are dropped.
+        index, branches = growth.index, self.branches
+        if branches is not None:
+            branches = branches.at[growth.action, growth.branch].set(index, mode="drop")
+
+        def with_row(rows: Array, row: Array) -> Array:
+            return write_row(rows, index, row)
+
         return Tree(
-            belief=jax.tree.map(lambda all, one: write_row(all, child, one), self.belief, growth.belief),
-            outcome=write_row(self.outcome, child, growth.outcome),
-            totals=self.totals.at[growth.nodes].add(growth.totals, mode="drop"),
-            children=self.children.at[growth.parent, growth.index].set(child, mode="drop"),
+            beliefs=jax.tree.map(with_row, self.beliefs, growth.belief),
+            outcome=with_row(self.outcome, growth.outcome),
+            totals=self.totals.at[growth.credited].add(growth.added, mode="drop"),
+            children=self.children.at[growth.node, growth.slot].set(index, mode="drop"),
+            branches=branches,
+            parameters=jax.tree.map(with_row, self.parameters, growth.parameters),
         )
 
+    def totals_of(self, actions: Int[Array, "*K"]) -> Float[Array, "*K T"]:
+        """`totals` of action nodes; zeros for `UNVISITED`."""
+        return jnp.where((actions != UNVISITED)[..., None], row(self.totals, actions), 0.0)
+
+    def mean_return(self, actions: Int[Array, "*K"]) -> Float[Array, "*K"]:
+        """Mean return of action nodes; minus infinity for `UNVISITED`."""
+        totals = self.totals_of(actions)
+        return mean_return(totals[..., 0], totals[..., 1])
+
     def num_children(self, node: Int[Array, ""]) -> Int[Array, ""]:
-        """Number of actions that have been simulated from `node`."""
+        """Number of actions that have been simulated from the belief node `node`."""
         return jnp.sum(self.children[node] != UNVISITED, dtype=jnp.int32)
 
-    def mean_return(self, nodes: Int[Array, "*K"]) -> Float[Array, "*K"]:
-        """Mean return of the actions that lead to `nodes`; minus infinity for `UNVISITED`."""
-        totals = self.totals[nodes]
-        mean = totals[..., 1] / jnp.maximum(totals[..., 0], 1.0)
-        return jnp.where(nodes == UNVISITED, -jnp.inf, mean)
+    def parameters_of(self, actions: Int[Array, "*K"]) -> Num[Array, "*K P"]:
+        """Parameters of action nodes; zeros for `UNVISITED`."""
+        assert self.parameters is not None
+        return row(self.parameters, actions)
+
+    def branches_of(self, action: Int[Array, ""], *place: Int[Array, ""]) -> Int[Array, "*B"]:
+        """Belief nodes of all branches of an action node, or of the branch at a place."""
+        assert self.branches is not None
+        return row(self.branches, action, *place)
+
+    def root_actions(self) -> "RootActions":
+        """What the tree knows about the actions of its root."""
+        children = self.children[ROOT]
+        totals = self.totals_of(children)
+        return RootActions(self.parameters_of(children), totals[:, 0], totals[:, 1])
 
 
 class Growth(eqx.Module):
-    """What a simulation adds to a tree of N nodes with A actions.
+    """What a simulation adds to a tree of N nodes with A actions: two nodes of one index, and its returns.
 
     Attributes:
-        child: Node to which `belief` and `outcome` belong, whether or not it is new.
-        belief: Belief of that node.
-        outcome: `Tree.outcome` of that node.
-        nodes: Nodes visited, the deepest first; N for levels that were not reached.
-        totals: Addition to `Tree.totals` of these nodes.
-        parent: Parent of the node.
-        index: Index of the node among the parent's actions; A if the node is discarded.
+        index: Index of the new nodes, an action node and a belief node, whether or not they are added.
+        belief: Belief of the belief node.
+        outcome: `Tree.outcome` of the belief node.
+        credited: Action nodes that the simulation passed; N for levels that were not reached.
+        added: Addition to `Tree.totals` of these nodes.
+        node: Belief node that the action belongs to.
+        slot: Place of the action node among the actions of `node`; A if it is not added.
+        action: Action node that the belief node belongs to, N if it is not added; None for one branch an
+            action.
+        branch: Place of the belief node among the branches of `action`.
+        parameters: `Tree.parameters` of the action node.
     """
 
-    child: Int[Array, ""]
-    belief: Node
-    outcome: Float[Array, "2"]
-    nodes: Int[Array, "V"]
-    totals: Float[Array, "V 2"]
-    parent: Int[Array, ""]
     index: Int[Array, ""]
+    belief: Belief
+    outcome: Float[Array, "2"]
+    credited: Int[Array, "L"]
+    added: Float[Array, "L T"]
+    node: Int[Array, ""]
+    slot: Int[Array, ""]
+    action: Int[Array, ""] | None = None
+    branch: Int[Array, ""] | None = None
+    parameters: Num[Array, "P"] | None = None
 
-    @classmethod
-    def nothing(cls, tree: Tree, num_visited: int) -> "Growth":
-        """A growth that leaves a tree with only a root unchanged: zeros for a node that does not exist."""
-        num_nodes, num_actions = tree.children.shape
-        zero = jnp.zeros((), jnp.int32)
-        return cls(
-            child=zero + 1,
-            belief=jax.tree.map(lambda all: jnp.zeros_like(all[ROOT]), tree.belief),
-            outcome=jnp.zeros_like(tree.outcome[ROOT]),
-            nodes=jnp.full((num_visited,), num_nodes, jnp.int32),
-            totals=jnp.zeros((num_visited, 2), tree.totals.dtype),
-            parent=zero,
-            index=zero + num_actions,
-        )
+
+class RootActions(NamedTuple):
+    """The actions of the root of a tree, or of several trees.
+
+    Attributes:
+        parameters: Parameters of each action; those of an action without a visit may be any.
+        visits: Number of visits of each action.
+        returns: Sum of returns of each action.
+    """
+
+    parameters: Num[Array, "A P"]
+    visits: Float[Array, "A"]
+    returns: Float[Array, "A"]
+
+    def values(self) -> Float[Array, "A"]:
+        """Mean return of each action; -inf for actions without a visit."""
+        return mean_return(self.visits, self.returns)
+
+    def recommended(self, by_value: bool | Array) -> "Recommendation":
+        """The action with the highest mean return, or else with the most visits."""
+        values = self.values()
+        slot = jnp.argmax(jnp.where(by_value, values, self.visits))
+        return Recommendation(slot, self.parameters[slot], values[slot], self.visits[slot])
+
+
+class Recommendation(NamedTuple):
+    """An action of the root, by its place there and its parameters, with its mean return and visits."""
+
+    slot: Int[Array, ""]
+    parameters: Num[Array, "P"]
+    value: Float[Array, ""]
+    visits: Float[Array, ""]
+
+
+def mean_return(visits: Float[Array, "*K"], returns: Float[Array, "*K"]) -> Float[Array, "*K"]:
+    """Mean return of actions, from their sums of returns; minus infinity for actions without a visit."""
+    return jnp.where(visits > 0.0, returns / jnp.maximum(visits, 1.0), -jnp.inf)
+
+
+def upper_bound(
+    totals: Float[Array, "*K T"], at_node: Float[Array, ""], exploration: Float[Array, ""]
+) -> Float[Array, "*K"]:
+    """UCT (4.1) of the actions of a node with `at_node` visits; minus infinity for actions without a visit.
+
+    It is the mean return plus `exploration` sqrt(ln n_p / n_i). The factor 2 under the square root in
+    Algorithm 2 is absorbed by `exploration`.
+    """
+    visits, returns = totals[..., 0], totals[..., 1]
+    bonus = exploration * jnp.sqrt(jnp.log(jnp.maximum(at_node, 1.0)) / jnp.maximum(visits, 1.0))
+    return mean_return(visits, returns) + bonus
+
+
+def best_by_mean(tree: Tree) -> Int[Array, ""]:
+    """Child of the root with the highest mean return.
+
+    Deviation: Algorithms 2 and 4 choose the largest sum of returns, which for negative returns favours the
+    least visited child.
+    """
+    children = tree.children[ROOT]
+    return children[jnp.argmax(tree.mean_return(children))]
+
+
+def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""]) -> Int[Array, ""]:
+    """Child of `node` with the highest `upper_bound`, where every action has one branch."""
+    children = tree.children[node]
+    bounds = upper_bound(tree.totals_of(children), tree.totals[node][0], exploration)
+    return children[jnp.argmax(bounds)]
+
+
+def row(rows: Array, *index: Int[Array, "..."]) -> Array:
+    """A row of an array, at an index that is known to be in range: without the check of a plain index."""
+    return rows.at[index].get(mode="promise_in_bounds")
 
 
 @jax.custom_batching.custom_vmap
@@ -146,26 +274,3 @@ def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, r
         row = jnp.broadcast_to(row, (num_lanes, *row.shape))
     # The same row of every lane: one slice along axis 1 of the batch, whose axis 0 are the lanes.
     return jax.lax.dynamic_update_index_in_dim(rows, row, index, 1), True
-
-
-def best_by_mean(tree: Tree) -> Int[Array, ""]:
-    """Child of the root with the highest mean return.
-
-    Deviation: Algorithms 2 and 4 choose the largest sum of returns, which for negative returns favours the
-    least visited child.
-    """
-    children = tree.children[ROOT]
-    return children[jnp.argmax(tree.mean_return(children))]
-
-
-def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""]) -> Int[Array, ""]:
-    """Child of `node` that maximises the mean return plus `exploration` sqrt(ln n_p / n_i) (4.1).
-
-    The factor 2 under the square root in Algorithm 2 is absorbed by `exploration`.
-    """
-    children = tree.children[node]
-    # UNVISITED is -1 and reads the last node; its mean return of minus infinity keeps it from being chosen.
-    visits = jnp.maximum(tree.totals[children][:, 0], 1.0)
-    of_parent = jnp.maximum(tree.totals[node][0], 1.0)
-    bonus = exploration * jnp.sqrt(jnp.log(of_parent) / visits)
-    return children[jnp.argmax(tree.mean_return(children) + bonus)]

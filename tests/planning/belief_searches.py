@@ -10,11 +10,12 @@ import numpy as np
 from bojax.numerics.choices import one_of
 from bojax.numerics.simulation_keys import random_index, simulation_key
 from bojax.planning.belief_planner import draw_states
-from bojax.planning.belief_tree import Widening
 from bojax.planning.leaf_values import Rollout, draw_alive
 from bojax.planning.pft import PFT, BeliefStep
 from bojax.planning.pomcpow import POMCPOW
 from bojax.planning.proposals import RandomProposal
+from bojax.planning.tree import UNVISITED
+from bojax.planning.widening import Widening
 from bojax.problems.actions import Box, Discrete
 from bojax.problems.particles import initial
 from bojax.problems.state_space import StateProblem
@@ -87,6 +88,14 @@ _initial = eqx.filter_jit(initial)
 @eqx.filter_jit
 def search(planner, key, problem, belief):
     return planner.search(key, problem, belief)
+
+
+def totals_by_action(tree):
+    """The totals of each action of each belief node of one tree, or of several; zeros without a visit."""
+    children, totals = np.asarray(tree.children), np.asarray(tree.totals)
+    flat = children.reshape(*children.shape[:-2], -1, 1)
+    rows = np.take_along_axis(totals, flat, axis=-2).reshape(*children.shape, -1)
+    return np.where((children != UNVISITED)[..., None], rows, 0.0)
 
 
 def reference_tree(planner, key, problem, belief):

@@ -8,10 +8,10 @@ import pytest
 from scipy.stats import norm
 
 from bojax.numerics.lanes import LANES
-from bojax.planning.belief_tree import Widening, capacity
 from bojax.planning.leaf_values import Rollout, StateValue
 from bojax.planning.proposals import VoronoiProposal
 from bojax.planning.tree import ROOT
+from bojax.planning.widening import Widening, capacity
 from bojax.problems.actions import Balls, Box, Discrete, Mixed
 from bojax.problems.particles import Particles
 from tests.planning import belief_searches
@@ -24,6 +24,7 @@ from tests.planning.belief_searches import (
     number,
     planner,
     reference_tree,
+    totals_by_action,
 )
 from tests.reference import belief_search as reference
 from tests.tiers import by_tier
@@ -39,7 +40,7 @@ def search(planner, problem, belief):
 
 def compare(tree, node, expected):
     """The subtree of `node` against the reference's; returns the number of belief nodes."""
-    visits, totals = np.asarray(tree.totals[node]).T
+    visits, totals = totals_by_action(tree)[node].T
     actions = expected.actions + [reference.Action()] * (len(visits) - len(expected.actions))
     np.testing.assert_array_equal(visits, [action.visits for action in actions])
     np.testing.assert_allclose(totals, [action.total for action in actions], rtol=1e-9, atol=1e-12)
@@ -141,7 +142,8 @@ def test_many_reservoirs_search_as_published_lists_do():
     belief = belief_of(problem)
     reservoirs = planner("pomcpow", ITERATIONS, num_reservoirs=64, max_branches=40)
     in_batch = jax.vmap(lambda key: reservoirs.search(key, problem, belief), axis_name=LANES)
-    totals = np.asarray(eqx.filter_jit(in_batch)(jax.random.split(jax.random.key(8), num)).totals[:, ROOT])
+    trees = eqx.filter_jit(in_batch)(jax.random.split(jax.random.key(8), num))
+    totals = totals_by_action(trees)[:, ROOT]
     states = np.asarray(belief.states)
     settings = SETTINGS | {"discount": 0.9, "num_actions": None, "max_branches": 40}
     roots = [
@@ -188,7 +190,7 @@ def test_a_threshold_that_a_device_rounds_up_is_whole(monkeypatch):
 def test_visits_add_up_and_widening_is_bounded(name):
     problem = drift()
     tree = search(planner(name, ITERATIONS), problem, belief_of(problem))
-    visits = np.asarray(tree.totals[..., 0])
+    visits = totals_by_action(tree)[..., 0]
     assert visits[ROOT].sum() == ITERATIONS
     seen = {ROOT}
     for node in range(ITERATIONS + 1):
@@ -214,9 +216,9 @@ def test_visits_add_up_and_widening_is_bounded(name):
 def test_capacities_stop_widening():
     problem = drift()
     tree = search(planner("pft", 200, max_actions=2, max_branches=1), problem, belief_of(problem))
-    visits = np.asarray(tree.totals[..., 0])
+    visits = totals_by_action(tree)[..., 0]
     assert visits.shape == (201, 2) and visits[ROOT].sum() == 200
-    assert tree.branches.shape == (200, 1)
+    assert tree.branches.shape == (201, 1)
 
 
 @pytest.mark.parametrize("published", [False, True])
@@ -232,7 +234,7 @@ def test_beliefs_without_weights_or_living_states_give_no_nan(name, published):
         for each in (belief, ended, weightless):
             tree = search(planner(name, ITERATIONS, published=published), problem, each)
             assert np.all(np.isfinite(tree.totals))
-            assert tree.totals[ROOT, :, 0].sum() == ITERATIONS
+            assert totals_by_action(tree)[ROOT, :, 0].sum() == ITERATIONS
 
 
 @pytest.mark.parametrize("name, kind", [("pft", Drift), ("pomcpow", Drift), ("pomcpow", BinaryDrift)])
@@ -262,7 +264,8 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
     def propose(proposal):
         keys = jax.random.split(jax.random.key(3), num)
         root = jnp.asarray(ROOT, jnp.int32)
-        of_key = lambda key: proposal(key, problem.actions, tree, root, tree.totals[ROOT])  # noqa: E731
+        totals = tree.totals_of(tree.children[ROOT])
+        of_key = lambda key: proposal(key, problem.actions, tree, root, totals)  # noqa: E731
         return jax.vmap(of_key)(keys)[:, 0]
 
     proposed = np.asarray(propose(proposal))
@@ -302,7 +305,7 @@ def test_the_first_action_of_the_root_is_that_of_the_policy(name):
     problem = drift()
     policy = lambda problem, key, belief: jnp.full((1,), 0.125)  # noqa: E731
     tree = search(planner(name, 20, first_action=policy), problem, belief_of(problem))
-    totals, actions = np.asarray(tree.totals), np.asarray(tree.parameters)[tree.children][..., 0]
+    totals, actions = totals_by_action(tree), np.asarray(tree.parameters)[tree.children][..., 0]
     is_policys = (actions == 0.125) & (totals[..., 0] > 0.0)
     assert is_policys[ROOT, 0] and np.sum(is_policys) == 1
 
@@ -323,4 +326,5 @@ def test_a_voronoi_proposal_has_a_variance_for_each_parameter():
     tree = search(planner("pft", ITERATIONS), problem, belief_of(problem))
     proposal = VoronoiProposal(number(0.0), number([0.1, 0.2]), number(0.0), 4)
     with pytest.raises(ValueError, match=r"planner\.proposal\.variance: got 2 numbers; allowed: 1"):
-        proposal(jax.random.key(0), problem.actions, tree, jnp.asarray(ROOT), tree.totals[ROOT])
+        totals = tree.totals_of(tree.children[ROOT])
+        proposal(jax.random.key(0), problem.actions, tree, jnp.asarray(ROOT), totals)

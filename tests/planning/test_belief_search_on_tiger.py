@@ -13,7 +13,7 @@ from bojax.planning.tree import ROOT
 from bojax.problems.particles import Particles
 from bojax.problems.pomdp.tiger import Tiger
 from tests.compiling import OPTIMISED
-from tests.planning.belief_searches import number, planner
+from tests.planning.belief_searches import number, planner, totals_by_action
 from tests.tiers import by_tier
 
 ACCURACY, DISCOUNT, VALUE = 0.85, 0.95, 19.371368
@@ -86,12 +86,13 @@ def trees(name, net_hearings, leaf_value):
 
 def root_values(trees):
     """Mean returns of the root's actions, a row each lane."""
-    return np.asarray(trees.totals[:, ROOT, :, 1] / np.maximum(trees.totals[:, ROOT, :, 0], 1.0))
+    visits, returns = np.moveaxis(totals_by_action(trees)[:, ROOT], -1, 0)
+    return returns / np.maximum(visits, 1.0)
 
 
 def value_of_listening(trees, lane):
     """The value of listening, then the action that the search prefers: free of its exploration."""
-    totals = np.asarray(trees.totals[lane])
+    totals = totals_by_action(trees)[lane]
     branches = np.asarray(trees.branches[lane, trees.children[lane, ROOT, LISTEN]])
     visits, returns = np.moveaxis(totals[branches], -1, 0)
     preferred = np.arange(len(branches)), visits.argmax(axis=1)
@@ -144,11 +145,12 @@ def test_branches_of_pomcpow_draw_from_the_posterior(net_hearings):
     lanes = np.arange(NUM_LANES)[:, None]
     heard = np.asarray(forest.beliefs.observation)[lanes, nodes, 0]
     right = np.asarray(forest.beliefs.steps)[lanes, nodes, :, 0].mean(axis=-1)
-    visits = np.asarray(forest.totals)[lanes, nodes, :, 0].sum(axis=-1)
+    totals = totals_by_action(forest)
+    visits = totals[lanes, nodes, :, 0].sum(axis=-1)
     assert np.all(np.sort(heard) == [0.0, 1.0])
     counts = np.asarray(forest.beliefs.count)[lanes, nodes]
     drawn, hears_right = counts.sum(axis=1), right_after(net_hearings) * 0.7 + 0.15
-    np.testing.assert_array_equal(drawn, forest.totals[:, ROOT, LISTEN, 0])  # every visit draws
+    np.testing.assert_array_equal(drawn, totals[:, ROOT, LISTEN, 0])  # every visit draws
     shares = counts[heard == 1.0] / drawn
     assert abs(shares.mean() - hears_right) < 4 * (0.25 / drawn.sum()) ** 0.5
     for side in (0, 1):

@@ -15,7 +15,15 @@ from bojax.planning.gp_proposal import GaussianProcessProposal
 from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Box, Mixed
-from tests.planning.belief_searches import belief_of, drift, number, planner, reference_tree, search
+from tests.planning.belief_searches import (
+    belief_of,
+    drift,
+    number,
+    planner,
+    reference_tree,
+    search,
+    totals_by_action,
+)
 
 LENGTHSCALE, CORRELATION, NOISE = 0.6, 0.4, 0.02
 
@@ -52,7 +60,7 @@ def test_statistics_are_those_of_all_visits(name, target):
     for node, b in nodes:
         for slot, action in enumerate(b.actions):
             values = np.array(action.returns if target == "return" else action.rewards)
-            row = tree.totals[node, slot]
+            row = tree.totals[tree.children[node, slot]]
             np.testing.assert_allclose(row[0], len(values))
             np.testing.assert_allclose(row[1], sum(action.returns), rtol=1e-9, atol=1e-9)
             np.testing.assert_allclose(row[2], values.sum(), rtol=1e-9, atol=1e-9)
@@ -104,24 +112,25 @@ def test_the_proposal_is_that_of_the_posterior(problem, name, learns):
     rule = proposal(learns, acquisition)
     tree = search(planner("pft", 150, proposal=rule), jax.random.key(5), problem, belief_of(problem))
     space = problem.actions
-    visits = np.asarray(tree.totals[..., 0])
+    all_totals = totals_by_action(tree)
+    visits = all_totals[..., 0]
     nodes = [ROOT, *np.argsort(-(visits[1:] > 0).sum(axis=1))[:2] + 1]
     for node in nodes:
-        totals = np.asarray(tree.totals[node])
+        totals = all_totals[node]
         assert (totals[:, 0] > 0).sum() >= 3
         key, at = jax.random.key(9), jnp.asarray(node, jnp.int32)
         candidates = np.asarray(jax.vmap(space.sample)(jax.random.split(jnp.copy(key), 64)))
         actions = np.asarray(tree.parameters[tree.children[node]])
-        root_totals = np.asarray(tree.totals[ROOT])
+        root_totals = all_totals[ROOT]
         mean, variance = posterior(actions, totals, root_totals, candidates, space)
         exists = totals[:, 0] > 0
         incumbent = posterior(actions, totals, root_totals, actions[exists], space)[0].max()
         std = np.sqrt(variance)
         z = (mean - incumbent) / std
         score = mean + 2.0 * std if name == "ucb" else std * (norm.pdf(z) + z * norm.cdf(z))
-        chosen = eqx.filter_jit(rule)(jnp.copy(key), space, tree, at, tree.totals[node])
+        chosen = eqx.filter_jit(rule)(jnp.copy(key), space, tree, at, jnp.asarray(totals))
         np.testing.assert_allclose(chosen, candidates[np.argmax(score)])
-        random = eqx.filter_jit(proposal(num_initial=50))(key, space, tree, at, tree.totals[node])
+        random = eqx.filter_jit(proposal(num_initial=50))(key, space, tree, at, jnp.asarray(totals))
         np.testing.assert_allclose(random, candidates[0])
 
 

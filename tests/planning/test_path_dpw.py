@@ -8,11 +8,11 @@ import pytest
 
 from bojax.motions.base import ContinuousMotions, place, sample_by_arc_length
 from bojax.numerics.lanes import LANES
-from bojax.planning.belief_tree import Widening
 from bojax.planning.path_dpw import PathDPW
 from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
-from tests.planning.belief_searches import RECOMMENDATION
+from bojax.planning.widening import Widening
+from tests.planning.belief_searches import RECOMMENDATION, totals_by_action
 from tests.planning.samples import cubic_curves, f64, field_belief, monitoring
 from tests.tiers import by_tier
 
@@ -112,7 +112,7 @@ def test_the_plan_of_one_action_is_the_path_of_the_highest_reward():
     planner = path_dpw(depth=1, iterations=30, max_actions=20)
     plan = eqx.filter_jit(planner.plan)(jax.random.key(2), problem, belief)
     tree = search(planner, jax.random.key(2), problem, belief)
-    actions = np.flatnonzero(tree.totals[ROOT, :, 0])
+    actions = np.flatnonzero(totals_by_action(tree)[ROOT, :, 0])
     assert len(actions) > 5
     world = problem.reset(jax.random.key(0))
     world = eqx.tree_at(lambda world: world.vehicle, world, belief.pose)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bojax.numerics.lanes import LANES
-from bojax.planning.belief_tree import RootActions
 from bojax.planning.root_parallel import recommended_by_all
+from bojax.planning.tree import RootActions
 from bojax.problems.actions import Box, Discrete, Mixed
 from tests.planning.belief_searches import belief_of, drift, number, planner, search
 

@@ -5,7 +5,7 @@ import jax
 import numpy as np
 import pytest
 
-from bojax.planning.tree import ROOT
+from bojax.planning.tree import ROOT, UNVISITED
 from tests.planning.samples import FIELD_POSES, f64, field_belief, kcbts, monitoring, path_of
 from tests.planning.test_probes import START, Target
 
@@ -23,7 +23,7 @@ def searched(planner, key, problem, belief):
 def rewards_of_children(tree, memory):
     """Indices of the candidates that the root has tried, in their order, and their rewards in the tree."""
     children = np.asarray(tree.children[ROOT])
-    children = children[children >= 0]
+    children = children[children != UNVISITED]
     same = np.all(np.asarray(memory.params)[children][:, None] == np.asarray(memory.candidates)[None], axis=2)
     assert np.all(same.any(axis=1))
     return same.argmax(axis=1), np.asarray(tree.reward)[children]

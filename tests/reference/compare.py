@@ -22,7 +22,7 @@ def nodes_of(root):
 
 def assert_same_tree(tree, root, num_actions):
     """Children, visits, rewards, returns, beliefs and ends of `tree` are those of the tree of `root`."""
-    belief = jax.tree.map(jnp.asarray, tree.belief)
+    belief = jax.tree.map(jnp.asarray, tree.beliefs)
     poses = np.asarray(getattr(belief, "pose", belief))
     samples = np.asarray(belief.samples) if isinstance(belief, FieldNode) else None
     for node in nodes_of(root):
