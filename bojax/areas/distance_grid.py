@@ -20,16 +20,12 @@ class DistanceGrid(eqx.Module):
     """Signed distance to the border of an area on a regular grid, m; negative outside.
 
     It costs the same for every outline: four values are read at each point.
-
-    Attributes:
-        values: Distances at the grid points; the first axis is y, the second x, both increasing.
-        origin: Position of `values[0, 0]`, m.
-        spacing: Distance between two grid points, m.
     """
 
+    # Distances at the grid points; the first axis is y, the second x, both increasing
     values: Float[Array, "H W"]
-    origin: Float[Array, "2"]
-    spacing: Float[Array, ""]
+    origin: Float[Array, "2"]  # position of `values[0, 0]`, m
+    spacing: Float[Array, ""]  # distance between two grid points, m
 
     @classmethod
     def of(cls, area: Area, spacing: float) -> "DistanceGrid":

@@ -20,17 +20,12 @@ class OutlinedArea(eqx.Module):
     that far outside. Obstacles narrower than two cells may be missed.
 
     Settings: `bojax.areas.settings.OutlinedArea`.
-
-    Attributes:
-        distance: Signed distance to the border, m; negative outside.
-        corners: Corners of all borders, one ring after the other, m.
-        ring_ends: Number of corners up to the end of each ring.
-        checks: Number of points of a straight line between two poses that must be inside, its end included.
     """
 
-    distance: DistanceGrid
-    corners: Float[Array, "P 2"]
-    ring_ends: tuple[int, ...] = eqx.field(static=True)
+    distance: DistanceGrid  # signed distance to the border, m; negative outside
+    corners: Float[Array, "P 2"]  # corners of all borders, one ring after the other, m
+    ring_ends: tuple[int, ...] = eqx.field(static=True)  # number of corners up to the end of each ring
+    # Number of points of a straight line between two poses that must be inside, its end included
     checks: int = eqx.field(static=True)
 
     def __init__(

@@ -22,15 +22,10 @@ SUFFIXES = (".geojson", ".json", ".kml")
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """Polygons of a file.
+    """Polygons of a file."""
 
-    Attributes:
-        shape: All of them, in the coordinates of the file.
-        crs: Their coordinate reference system; None for metres without a place on the Earth.
-    """
-
-    shape: "BaseGeometry"
-    crs: str | None
+    shape: "BaseGeometry"  # all of them, in the coordinates of the file
+    crs: str | None  # their coordinate reference system; None for metres without a place on the Earth
 
 
 def read_polygons(file: str) -> Polygons:

@@ -19,23 +19,16 @@ CELLS = 128
 
 @dataclass(frozen=True, eq=False)
 class ShortestWays:
-    """Shortest ways to a point, as of `bojax.problems.ways_to_end.WaysToEnd`.
+    """Shortest ways to a point, as of `bojax.problems.ways_to_end.WaysToEnd`."""
 
-    Attributes:
-        corners: Corners at which ways bend, and last the point `[C, 2]`, m.
-        chains: Indices `[C, L]` of the corners on the way from each, itself first; the point is repeated.
-        rest: Distance `[C]` from each corner to the point, m.
-        first: Index `[H, W]` of the first corner for positions around each grid point; the first axis is y.
-        origin: Position of `first[0, 0]`, m.
-        spacing: Distance between two grid points, m.
-    """
-
-    corners: np.ndarray
+    corners: np.ndarray  # corners at which ways bend, and last the point `[C, 2]`, m
+    # Indices `[C, L]` of the corners on the way from each, itself first; the point is repeated
     chains: np.ndarray
-    rest: np.ndarray
+    rest: np.ndarray  # distance `[C]` from each corner to the point, m
+    # Index `[H, W]` of the first corner for positions around each grid point; the first axis is y
     first: np.ndarray
-    origin: np.ndarray
-    spacing: float
+    origin: np.ndarray  # position of `first[0, 0]`, m
+    spacing: float  # distance between two grid points, m
 
 
 class _Tree(NamedTuple):

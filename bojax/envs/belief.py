@@ -21,16 +21,11 @@ Features = Literal["mean-and-spread", "mean", "reading", "state"]
 
 
 class Tracked(eqx.Module):
-    """The state of the environment.
+    """The state of the environment."""
 
-    Attributes:
-        world: True state of the problem.
-        belief: Belief of the filter.
-        reading: The last observation of the problem; the middle of the bounds before the first.
-    """
-
-    world: Float[Array, "D"]
-    belief: Particles
+    world: Float[Array, "D"]  # true state of the problem
+    belief: Particles  # belief of the filter
+    # The last observation of the problem; the middle of the bounds before the first
     reading: Float[Array, "O"]
 
 
@@ -47,20 +42,14 @@ class BeliefEnv(Env):
     has collapsed in training is a column of `runs.parquet`, as of a planner.
 
     Settings: `bojax.envs.settings.Belief`.
-
-    Attributes:
-        problem: The problem.
-        low: Lower bounds of the state's components, or of the observation's with `reading`.
-        high: Upper bounds of them.
-        features: What is observed.
     """
 
     count_columns: ClassVar[Table] = (COLLAPSES,)
 
     problem: StateProblem
-    low: Float[Array, "D"]
-    high: Float[Array, "D"]
-    features: Features = eqx.field(static=True)
+    low: Float[Array, "D"]  # lower bounds of the state's components, or of the observation's with `reading`
+    high: Float[Array, "D"]  # upper bounds of them
+    features: Features = eqx.field(static=True)  # what is observed
     max_steps: int = eqx.field(static=True, init=False)
 
     def __post_init__(self) -> None:

@@ -13,21 +13,13 @@ from bojax.envs.spaces import Box
 
 
 class ControlStep(eqx.Module):
-    """A step of a `ControlTask`.
+    """A step of a `ControlTask`."""
 
-    Attributes:
-        state: State before the step.
-        action: Action, within its bounds.
-        after: State after the step.
-        success: Whether the step reached the goal.
-        failure: Whether the state after the step is a failure.
-    """
-
-    state: EnvState
-    action: Float[Array, "A"]
-    after: EnvState
-    success: Bool[Array, ""]
-    failure: Bool[Array, ""]
+    state: EnvState  # state before the step
+    action: Float[Array, "A"]  # action, within its bounds
+    after: EnvState  # state after the step
+    success: Bool[Array, ""]  # whether the step reached the goal
+    failure: Bool[Array, ""]  # whether the state after the step is a failure
 
 
 class ControlTask(Env):

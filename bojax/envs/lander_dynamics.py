@@ -36,27 +36,16 @@ _SLOW, _SLOW_SPIN = 0.01, math.radians(2.0)
 
 
 class LanderState(eqx.Module):
-    """State of the lander and its terrain.
+    """State of the lander and its terrain."""
 
-    Attributes:
-        position: Centre of mass, in metres from the lower left corner of the world.
-        angle: Tilt, anticlockwise, in radians; not wrapped.
-        velocity: Velocity of the centre of mass, in m/s.
-        spin: Angular velocity, anticlockwise, in rad/s.
-        legs: Outward joint angles of the right and the left leg, in radians.
-        contacts: Whether the right and the left leg touch the ground.
-        num_still: Number of consecutive steps at rest.
-        terrain: Heights of the terrain vertices, in metres.
-    """
-
-    position: Float[Array, "2"]
-    angle: Float[Array, ""]
-    velocity: Float[Array, "2"]
-    spin: Float[Array, ""]
-    legs: Float[Array, "2"]
-    contacts: Bool[Array, "2"]
-    num_still: Int[Array, ""]
-    terrain: Float[Array, "11"]
+    position: Float[Array, "2"]  # centre of mass, in metres from the lower left corner of the world
+    angle: Float[Array, ""]  # tilt, anticlockwise, in radians; not wrapped
+    velocity: Float[Array, "2"]  # velocity of the centre of mass, in m/s
+    spin: Float[Array, ""]  # angular velocity, anticlockwise, in rad/s
+    legs: Float[Array, "2"]  # outward joint angles of the right and the left leg, in radians
+    contacts: Bool[Array, "2"]  # whether the right and the left leg touch the ground
+    num_still: Int[Array, ""]  # number of consecutive steps at rest
+    terrain: Float[Array, "11"]  # heights of the terrain vertices, in metres
 
     @property
     def origin(self) -> Float[Array, "2"]:
@@ -210,29 +199,20 @@ class _Foot(eqx.Module):
     of the ground's impulse about the hinge stays below the motor's; beyond that the leg yields, up to the
     rate that takes the joint to its stop within the step. The ground therefore exerts three impulses: a soft
     one, bounded by the motor, which stops a foot in contact; a hard one, for a leg at its stop; and friction.
-
-    Attributes:
-        arm: Vector from the centre of mass to the foot, in metres.
-        normal: Normal of the ground below.
-        soft_speed: Normal velocity that the soft impulse restores to the foot, in m/s.
-        hard_speed: Normal velocity that the hard impulse restores to the foot, in m/s; negative above the
-            ground, so that the foot may come down to it.
-        distance: Distance from the ground, in metres.
-        lever: Outward torque about the hinge of a unit force along the normal, in metres.
-        drag_lever: Outward torque about the hinge of a unit force along the ground, in metres.
-        slowest: Lower limit of the outward joint rate, in rad/s.
-        fastest: Upper limit of the outward joint rate, in rad/s.
     """
 
-    arm: Float[Array, "*N 2"]
-    normal: Float[Array, "*N 2"]
-    soft_speed: Float[Array, "*N"]
+    arm: Float[Array, "*N 2"]  # vector from the centre of mass to the foot, in metres
+    normal: Float[Array, "*N 2"]  # normal of the ground below
+    soft_speed: Float[Array, "*N"]  # normal velocity that the soft impulse restores to the foot, in m/s
+    # Normal velocity that the hard impulse restores to the foot, in m/s; negative above the ground, so that
+    # the foot may come down to it
     hard_speed: Float[Array, "*N"]
-    distance: Float[Array, "*N"]
-    lever: Float[Array, "*N"]
+    distance: Float[Array, "*N"]  # distance from the ground, in metres
+    lever: Float[Array, "*N"]  # outward torque about the hinge of a unit force along the normal, in metres
+    # Outward torque about the hinge of a unit force along the ground, in metres
     drag_lever: Float[Array, "*N"]
-    slowest: Float[Array, "*N"]
-    fastest: Float[Array, "*N"]
+    slowest: Float[Array, "*N"]  # lower limit of the outward joint rate, in rad/s
+    fastest: Float[Array, "*N"]  # upper limit of the outward joint rate, in rad/s
 
     def solve(self, motion: _Motion, impulses: Float[Array, "3"]) -> tuple[_Motion, Float[Array, "3"]]:
         """One sweep over the soft, the hard and the friction impulse, each given the current other two."""

@@ -45,17 +45,11 @@ UNITS = (0.5 * WIDTH, 0.5 * HEIGHT)
 
 
 class Mass(NamedTuple):
-    """Mass properties of a rigid body in the plane.
+    """Mass properties of a rigid body in the plane."""
 
-    Attributes:
-        mass: Mass in kg.
-        centre: Centre of mass, in metres.
-        inertia: Moment of inertia about the centre of mass, in kg m^2.
-    """
-
-    mass: float
-    centre: Float[np.ndarray, "2"]
-    inertia: float
+    mass: float  # mass in kg
+    centre: Float[np.ndarray, "2"]  # centre of mass, in metres
+    inertia: float  # moment of inertia about the centre of mass, in kg m^2
 
 
 def polygon(corners: Float[np.ndarray, "N 2"], density: float) -> Mass:

@@ -17,14 +17,10 @@ class TabularEnv(Env):
 
     A subclass defines the probability and the outcome of each branch. `step` draws a branch; `transitions`
     lists all branches, for exact solutions by dynamic programming. The observation is the state itself.
-
-    Attributes:
-        num_actions: Number of actions.
-        num_branches: Number of branches of every action, K.
     """
 
-    num_actions: ClassVar[int]
-    num_branches: ClassVar[int]
+    num_actions: ClassVar[int]  # number of actions
+    num_branches: ClassVar[int]  # number of branches of every action, K
 
     @property
     @abc.abstractmethod

@@ -21,37 +21,22 @@ class Choice(NamedTuple):
 
 
 class EpisodeState(eqx.Module):
-    """The state of an episode.
+    """The state of an episode."""
 
-    Attributes:
-        env: State of the environment; None if it steps on the host.
-        observation: Last observation.
-        learner: State of the learner.
-        is_active: Whether the episode has not ended.
-        total: Sum of the rewards so far.
-        length: Number of steps so far.
-        terminated: Whether the episode ended in a terminal state.
-        truncated: Whether the episode was truncated.
-        success: Whether the goal was reached.
-        failed: Whether the environment returned a non-finite value.
-        outside: Number of steps to an observation outside the declared bounds.
-        rows: The steps so far, see `StepRows`; T is 0 in a test.
-        repeated: The last choice of the learner, where it is repeated for several steps; None if the learner
-            chooses in every step.
-    """
-
-    env: EnvState
-    observation: Observation
-    learner: LearnerState
-    is_active: Bool[Array, ""]
-    total: Float[Array, ""]
-    length: Int[Array, ""]
-    terminated: Bool[Array, ""]
-    truncated: Bool[Array, ""]
-    success: Bool[Array, ""]
-    failed: Bool[Array, ""]
-    outside: Int[Array, ""]
-    rows: Float[Array, "T R"]
+    env: EnvState  # state of the environment; None if it steps on the host
+    observation: Observation  # last observation
+    learner: LearnerState  # state of the learner
+    is_active: Bool[Array, ""]  # whether the episode has not ended
+    total: Float[Array, ""]  # sum of the rewards so far
+    length: Int[Array, ""]  # number of steps so far
+    terminated: Bool[Array, ""]  # whether the episode ended in a terminal state
+    truncated: Bool[Array, ""]  # whether the episode was truncated
+    success: Bool[Array, ""]  # whether the goal was reached
+    failed: Bool[Array, ""]  # whether the environment returned a non-finite value
+    outside: Int[Array, ""]  # number of steps to an observation outside the declared bounds
+    rows: Float[Array, "T R"]  # the steps so far, see `StepRows`; T is 0 in a test
+    # The last choice of the learner, where it is repeated for several steps; None if the learner chooses in
+    # every step
     repeated: Choice | None
 
 

@@ -35,43 +35,29 @@ Starts: TypeAlias = Literal["per-episode", "per-run"]
 
 
 class RunState(eqx.Module):
-    """The state of a run.
+    """The state of a run."""
 
-    Attributes:
-        key: Key of the run.
-        learner: State of the learner.
-        episode: Number of training episodes so far.
-        steps: Number of training steps so far.
-        outside: Number of these steps to an observation outside the declared bounds.
-        is_done: Whether the run has ended.
-        last_return: Return of the last training episode.
-        planned_return: Mean return that the learner expected of its actions in the last training episode; NaN
-            once this was not finite.
-        episodes_to_goal: Training episodes up to and including the first success; -1 before.
-        steps_to_goal: Training steps up to the first success; -1 before.
-        target: Progress of the test episodes towards the target return.
-        maps: Q and U over the observations after each of `map_episodes`, NaN before; None if there are no
-            `map_episodes`.
-        visits: Cells of the maps that the run has been in; None unless there are maps over two observations.
-        map_scores: `Visits.scores` at each of `map_episodes`, NaN before; None as `visits`.
-        counts: `Env.counts` over all training episodes so far.
-    """
-
-    key: Key[Array, ""]
-    learner: LearnerState
-    episode: Int[Array, ""]
-    steps: Int[Array, ""]
-    outside: Int[Array, ""]
-    is_done: Bool[Array, ""]
-    last_return: Float[Array, ""]
+    key: Key[Array, ""]  # key of the run
+    learner: LearnerState  # state of the learner
+    episode: Int[Array, ""]  # number of training episodes so far
+    steps: Int[Array, ""]  # number of training steps so far
+    outside: Int[Array, ""]  # number of these steps to an observation outside the declared bounds
+    is_done: Bool[Array, ""]  # whether the run has ended
+    last_return: Float[Array, ""]  # return of the last training episode
+    # Mean return that the learner expected of its actions in the last training episode; NaN once this was not
+    # finite
     planned_return: Float[Array, ""]
-    episodes_to_goal: Int[Array, ""]
-    steps_to_goal: Int[Array, ""]
-    target: TargetProgress
+    episodes_to_goal: Int[Array, ""]  # training episodes up to and including the first success; -1 before
+    steps_to_goal: Int[Array, ""]  # training steps up to the first success; -1 before
+    target: TargetProgress  # progress of the test episodes towards the target return
+    # Q and U over the observations after each of `map_episodes`, NaN before; None if there are no
+    # `map_episodes`
     maps: Float[Array, "K 2 *grid"] | None
+    # Cells of the maps that the run has been in; None unless there are maps over two observations
     visits: Visits | None
+    # `Visits.scores` at each of `map_episodes`, NaN before; None as `visits`
     map_scores: Float[Array, "K 4"] | None
-    counts: dict[str, Int[Array, ""]]
+    counts: dict[str, Int[Array, ""]]  # `Env.counts` over all training episodes so far
 
 
 def _episode_key(

@@ -30,26 +30,17 @@ PHASES = ("train", "test")
 
 
 class Phase(eqx.Module):
-    """A training or test episode, around the steps of its environment.
+    """A training or test episode, around the steps of its environment."""
 
-    Attributes:
-        env: Environment.
-        learner: Learner.
-        acting: Exploration state that the learner acts with.
-        exploration: Exploration state that it learns with.
-        key: Key of the episode.
-        reset_key: Key of the initial state of the environment.
-        learns: Whether the learner learns, from every step and from the whole episode at its end.
-        action_repeat: Number of steps for which every action is repeated.
-    """
-
-    env: Env
+    env: Env  # environment
     learner: Learner
-    acting: ExplorationState
-    exploration: ExplorationState
-    key: Key[Array, ""]
-    reset_key: Key[Array, ""]
+    acting: ExplorationState  # exploration state that the learner acts with
+    exploration: ExplorationState  # exploration state that it learns with
+    key: Key[Array, ""]  # key of the episode
+    reset_key: Key[Array, ""]  # key of the initial state of the environment
+    # Whether the learner learns, from every step and from the whole episode at its end
     learns: bool = eqx.field(static=True)
+    # Number of steps for which every action is repeated
     action_repeat: int = eqx.field(static=True, default=1)
 
     @property

@@ -17,34 +17,22 @@ from bojax.results.schema import Table
 
 
 class PlanningState(eqx.Module):
-    """State of a planning episode.
+    """State of a planning episode."""
 
-    Attributes:
-        key_world: Key of the world's random numbers.
-        key_planner: Key of the planner's random numbers, a separate stream, so that all planners face the
-            same initial states and the same noise.
-        world: True state of the world.
-        belief: Belief of the planner.
-        step: Number of steps taken.
-        accumulated: Sum of the rewards so far.
-        discounted: Discounted sum of the rewards so far; None if the problem has no discount.
-        is_done: Whether the episode has ended.
-        failed: Whether the simulation has diverged.
-        record: What the problem records.
-        measured: Sums over the steps of what the planner measures of its plans.
-    """
-
-    key_world: Key[Array, ""]
+    key_world: Key[Array, ""]  # key of the world's random numbers
+    # Key of the planner's random numbers, a separate stream, so that all planners face the same initial
+    # states and the same noise
     key_planner: Key[Array, ""]
-    world: World
-    belief: Belief
-    step: Int[Array, ""]
-    accumulated: Float[Array, ""]
+    world: World  # true state of the world
+    belief: Belief  # belief of the planner
+    step: Int[Array, ""]  # number of steps taken
+    accumulated: Float[Array, ""]  # sum of the rewards so far
+    # Discounted sum of the rewards so far; None if the problem has no discount
     discounted: Float[Array, ""] | None
-    is_done: Bool[Array, ""]
-    failed: Bool[Array, ""]
-    record: Record
-    measured: dict[str, Float[Array, ""]]
+    is_done: Bool[Array, ""]  # whether the episode has ended
+    failed: Bool[Array, ""]  # whether the simulation has diverged
+    record: Record  # what the problem records
+    measured: dict[str, Float[Array, ""]]  # sums over the steps of what the planner measures of its plans
 
 
 class PlanningEpisode(Experiment):

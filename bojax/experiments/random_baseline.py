@@ -12,17 +12,11 @@ from bojax.numerics.lanes import LANES, any_lane
 
 
 class RandomEpisode(eqx.Module):
-    """An episode, or several `[N]`.
+    """An episode, or several `[N]`."""
 
-    Attributes:
-        total: Sum of its rewards.
-        length: Number of its steps.
-        success: Whether it reached the goal.
-    """
-
-    total: Float[Array, "*N"]
-    length: Int[Array, "*N"]
-    success: Bool[Array, "*N"]
+    total: Float[Array, "*N"]  # sum of its rewards
+    length: Int[Array, "*N"]  # number of its steps
+    success: Bool[Array, "*N"]  # whether it reached the goal
 
 
 def random_episodes(

@@ -13,19 +13,12 @@ from bojax.results.schema import Column, Table
 
 
 class StepRows(eqx.Module):
-    """A layout of transitions as rows of numbers, so that a step is one write instead of six.
+    """A layout of transitions as rows of numbers, so that a step is one write instead of six."""
 
-    Attributes:
-        observations: Space of observations.
-        actions: Space of actions.
-        frame_size: Size of `Env.frame`; 0 without one.
-        dtype: Precision of the rows; integers below 2^24 are exact.
-    """
-
-    observations: Space
-    actions: Space
-    frame_size: int = eqx.field(static=True)
-    dtype: jnp.dtype = eqx.field(static=True)
+    observations: Space  # space of observations
+    actions: Space  # space of actions
+    frame_size: int = eqx.field(static=True)  # size of `Env.frame`; 0 without one
+    dtype: jnp.dtype = eqx.field(static=True)  # precision of the rows; integers below 2^24 are exact
 
     @classmethod
     def of(cls, env: Env, dtype: jnp.dtype) -> "StepRows":

@@ -6,18 +6,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 
 class TargetProgress(eqx.Module):
-    """Progress of the test episodes of a run towards a target return.
+    """Progress of the test episodes of a run towards a target return."""
 
-    Attributes:
-        episodes: Training episodes before the first round of tests that all exceeded the target; -1 until
-            then.
-        tests_after: Number of test episodes since then.
-        return_after: Sum of their returns.
-    """
-
+    # Training episodes before the first round of tests that all exceeded the target; -1 until then
     episodes: Int[Array, ""]
-    tests_after: Int[Array, ""]
-    return_after: Float[Array, ""]
+    tests_after: Int[Array, ""]  # number of test episodes since then
+    return_after: Float[Array, ""]  # sum of their returns
 
     @property
     def is_reached(self) -> Bool[Array, ""]:

@@ -17,15 +17,10 @@ from bojax.results.schema import Column, Table
 
 
 class Gallery(eqx.Module):
-    """The state of a run of `TrajectoryGallery`.
+    """The state of a run of `TrajectoryGallery`."""
 
-    Attributes:
-        key: Key of the run.
-        is_done: Whether the run has ended.
-    """
-
-    key: Key[Array, ""]
-    is_done: Bool[Array, ""]
+    key: Key[Array, ""]  # key of the run
+    is_done: Bool[Array, ""]  # whether the run has ended
 
 
 class TrajectoryGallery(Experiment):

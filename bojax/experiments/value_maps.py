@@ -34,15 +34,10 @@ def value_map(
 
 
 class Visits(eqx.Module):
-    """The cells of a map over two observations that a run has visited.
+    """The cells of a map over two observations that a run has visited."""
 
-    Attributes:
-        seen: Whether a training step was taken in the cell.
-        starts: Whether a training episode began in the cell.
-    """
-
-    seen: Bool[Array, "R R"]
-    starts: Bool[Array, "R R"]
+    seen: Bool[Array, "R R"]  # whether a training step was taken in the cell
+    starts: Bool[Array, "R R"]  # whether a training episode began in the cell
 
     @classmethod
     def none(cls, resolution: int) -> "Visits":

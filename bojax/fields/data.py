@@ -27,17 +27,11 @@ def split_choice(file: str) -> tuple[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Values at points, from a file.
+    """Values at points, from a file."""
 
-    Attributes:
-        rows: `[N, 3]`: x, y and value.
-        names: Names of these columns; none if the file has none.
-        left_out: Number of rows without data, which are left out.
-    """
-
-    rows: "np.ndarray"
-    names: list[str]
-    left_out: int = 0
+    rows: "np.ndarray"  # `[N, 3]`: x, y and value
+    names: list[str]  # names of these columns; none if the file has none
+    left_out: int = 0  # number of rows without data, which are left out
 
     @property
     def label(self) -> str:

@@ -16,12 +16,9 @@ class GridField(Field):
     """Bilinear interpolation of values on a regular grid, extended by the values on its border.
 
     Settings: `bojax.fields.settings.Grid`.
-
-    Attributes:
-        table: Values; the first axis is y, the second x, both increasing.
     """
 
-    table: Float[Array, "H W"]
+    table: Float[Array, "H W"]  # values; the first axis is y, the second x, both increasing
     extent: Float[Array, "4"]
 
     def __init__(
@@ -53,12 +50,9 @@ class ScatteredField(Field):
     The interpolation is evaluated once, on a grid over the extent.
 
     Settings: `bojax.fields.settings.Scattered`.
-
-    Attributes:
-        table: Values on the grid; the first axis is y, from the lowest, the second x.
     """
 
-    table: Float[Array, "H W"]
+    table: Float[Array, "H W"]  # values on the grid; the first axis is y, from the lowest, the second x
     extent: Float[Array, "4"]
 
     def __init__(

@@ -22,18 +22,12 @@ class Projection:
 
     The map is linear, so a regular grid stays one, and exact in both directions. Lengths are right in the
     middle of the area; those along x are off by `distortion` at its northern and southern ends.
-
-    Attributes:
-        crs: Coordinate reference system; None for metres without a place on the Earth.
-        origin: Coordinates of the origin of the frame.
-        scale: Metres that one unit of the coordinates stands for, along x and y.
-        distortion: Largest error of lengths in the area, as a share.
     """
 
-    crs: str | None
-    origin: tuple[float, float]
-    scale: tuple[float, float]
-    distortion: float = 0.0
+    crs: str | None  # coordinate reference system; None for metres without a place on the Earth
+    origin: tuple[float, float]  # coordinates of the origin of the frame
+    scale: tuple[float, float]  # metres that one unit of the coordinates stands for, along x and y
+    distortion: float = 0.0  # largest error of lengths in the area, as a share
 
     @classmethod
     def of(cls, crs: str | None, extent: tuple[float, float, float, float]) -> "Projection":

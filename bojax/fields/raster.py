@@ -20,25 +20,15 @@ DEGREES = "EPSG:4326"
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """Values on a regular grid.
+    """Values on a regular grid."""
 
-    Attributes:
-        values: `[H, W]`, NaN in holes; the first axis is y, the second x.
-        x: Positions of the columns, increasing, in the unit of `crs`.
-        y: Positions of the rows, increasing.
-        crs: Coordinate reference system; None for metres without a place on the Earth.
-        step: Number of cells of the file, along each axis, that one cell stands for.
-        notes: What a user should know of how it was read, a sentence each.
-        label: Name of the values, with their unit in parentheses; empty if the file has none.
-    """
-
-    values: "np.ndarray"
-    x: "np.ndarray"
-    y: "np.ndarray"
-    crs: str | None = None
-    step: int = 1
-    notes: tuple[str, ...] = ()
-    label: str = ""
+    values: "np.ndarray"  # `[H, W]`, NaN in holes; the first axis is y, the second x
+    x: "np.ndarray"  # positions of the columns, increasing, in the unit of `crs`
+    y: "np.ndarray"  # positions of the rows, increasing
+    crs: str | None = None  # coordinate reference system; None for metres without a place on the Earth
+    step: int = 1  # number of cells of the file, along each axis, that one cell stands for
+    notes: tuple[str, ...] = ()  # what a user should know of how it was read, a sentence each
+    label: str = ""  # name of the values, with their unit in parentheses; empty if the file has none
 
     @property
     def is_hole(self) -> "np.ndarray":

@@ -46,12 +46,9 @@ class LinearBaseline(eqx.Module):
     1; observations are clipped to [-10, 10]. That code adds 1e-5 to the diagonal of the normal equations and
     solves them by a singular value decomposition. Here the features are scaled to a mean square of 1 first,
     so that a Cholesky factor exists even in single precision.
-
-    Attributes:
-        weights: Weight of each feature.
     """
 
-    weights: Float[Array, "F"]
+    weights: Float[Array, "F"]  # weight of each feature
 
     @classmethod
     def zero(cls, num_dims: int, dtype: jnp.dtype) -> "LinearBaseline":

@@ -14,15 +14,10 @@ from bojax.learning.q_networks import Batch, QNetworkLearner, QNetworkState
 
 
 class Bootstrap(eqx.Module):
-    """The state of `BootstrappedQ` besides its networks.
+    """The state of `BootstrappedQ` besides its networks."""
 
-    Attributes:
-        head: Head that acts in this episode.
-        seed: Seed of the masks.
-    """
-
-    head: Int[Array, ""]
-    seed: Int[Array, ""]
+    head: Int[Array, ""]  # head that acts in this episode
+    seed: Int[Array, ""]  # seed of the masks
 
 
 class BootstrappedQ(QNetworkLearner):

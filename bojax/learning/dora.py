@@ -21,20 +21,13 @@ _NONE = -1  # index of the next action before one has been chosen
 
 
 class DORAState(eqx.Module):
-    """The state of `DORA`.
+    """The state of `DORA`."""
 
-    Attributes:
-        table: Indices of the tiles seen so far.
-        weights: Weights of Q and of the E-values.
-        actions: The actions.
-        scale: Factor of each observation that gives a tile side 1.
-        next_action: Index of the action that was chosen for the next training step; -1 before an episode.
-    """
-
-    table: TileTable
-    weights: Float[Array, "N 2"]
+    table: TileTable  # indices of the tiles seen so far
+    weights: Float[Array, "N 2"]  # weights of Q and of the E-values
     actions: Action
-    scale: Float[Array, "D"]
+    scale: Float[Array, "D"]  # factor of each observation that gives a tile side 1
+    # Index of the action that was chosen for the next training step; -1 before an episode
     next_action: Int[Array, ""]
 
 

@@ -26,23 +26,14 @@ TERMINAL_U = one_of("absorbing", "bootstrap", "zero")  # readings of U of a term
 
 
 class EMUQState(eqx.Module):
-    """The state of `EMUQ`.
+    """The state of `EMUQ`."""
 
-    Attributes:
-        features: Feature map phi of this run.
-        posterior: Posterior of the weights of Q and U, which share one covariance S.
-        memory: All transitions.
-        candidates: Actions over which the policy maximises, `[J, ...]`.
-        samples: Actions over which the exploration reward averages, `[K, ...]`.
-        stored: Exploration rewards for refits; None if they are recomputed.
-    """
-
-    features: StateActionFeatures
-    posterior: BayesianLinearRegression
-    memory: Memory
-    candidates: Action
-    samples: Action
-    stored: StoredRewards | None
+    features: StateActionFeatures  # feature map phi of this run
+    posterior: BayesianLinearRegression  # posterior of the weights of Q and U, which share one covariance S
+    memory: Memory  # all transitions
+    candidates: Action  # actions over which the policy maximises, `[J, ...]`
+    samples: Action  # actions over which the exploration reward averages, `[K, ...]`
+    stored: StoredRewards | None  # exploration rewards for refits; None if they are recomputed
 
     def phi(self, observation: Observation, actions: Action) -> Float[Array, "J M"]:
         """Features of several actions in a state."""

@@ -10,15 +10,10 @@ from bojax.learning.memory import Memory
 
 
 class EpisodeBatch(eqx.Module):
-    """Up to C transitions of successive episodes.
+    """Up to C transitions of successive episodes."""
 
-    Attributes:
-        memory: The transitions in order. Rows from its count on are those of an earlier batch.
-        steps: Number of steps before the transition in its episode.
-    """
-
-    memory: Memory
-    steps: Int[Array, "C"]
+    memory: Memory  # the transitions in order. Rows from its count on are those of an earlier batch
+    steps: Int[Array, "C"]  # number of steps before the transition in its episode
 
     @classmethod
     def empty(

@@ -24,13 +24,9 @@ from bojax.numerics.linalg import HIGHEST, matmul
 
 
 class StateActionFeatures(eqx.Module):
-    """A feature map phi from a state and an action to M features; P and R are the sizes of x and y.
+    """A feature map phi from a state and an action to M features; P and R are the sizes of x and y."""
 
-    Attributes:
-        actions: Space of actions.
-    """
-
-    actions: eqx.AbstractVar[Space]
+    actions: eqx.AbstractVar[Space]  # space of actions
 
     @property
     @abc.abstractmethod
@@ -72,24 +68,15 @@ class StateActionFeatures(eqx.Module):
 
 
 class FourierFeatures(StateActionFeatures):
-    """Cosines of linear functions of the state and action, mapped to the unit cube.
+    """Cosines of linear functions of the state and action, mapped to the unit cube."""
 
-    Attributes:
-        observations: Bounds of observations.
-        actions: Space of actions.
-        state_frequencies: Angular frequencies along each observation, in radians per range.
-        action_frequencies: Angular frequencies along each action dimension.
-        phases: Phase of each feature, in radians.
-        amplitude: Amplitude of every feature.
-        has_sines: Whether the second half are the sines of the first half: cosines of phases less pi/2.
-    """
-
-    observations: Space
-    actions: Space
-    state_frequencies: Float[Array, "M D"]
-    action_frequencies: Float[Array, "M A"]
-    phases: Float[Array, "M"]
-    amplitude: Float[Array, ""]
+    observations: Space  # bounds of observations
+    actions: Space  # space of actions
+    state_frequencies: Float[Array, "M D"]  # angular frequencies along each observation, in radians per range
+    action_frequencies: Float[Array, "M A"]  # angular frequencies along each action dimension
+    phases: Float[Array, "M"]  # phase of each feature, in radians
+    amplitude: Float[Array, ""]  # amplitude of every feature
+    # Whether the second half are the sines of the first half: cosines of phases less pi/2
     has_sines: bool = eqx.field(static=True)
 
     @property
@@ -178,17 +165,11 @@ class FourierFeatures(StateActionFeatures):
 
 
 class OneHotFeatures(StateActionFeatures):
-    """One-hot features of a discrete state and a discrete action: one feature for each pair.
+    """One-hot features of a discrete state and a discrete action: one feature for each pair."""
 
-    Attributes:
-        observations: Space of states.
-        actions: Space of actions.
-        one: The number 1 in the precision of the features.
-    """
-
-    observations: Discrete
-    actions: Space
-    one: Float[Array, ""]
+    observations: Discrete  # space of states
+    actions: Space  # space of actions
+    one: Float[Array, ""]  # the number 1 in the precision of the features
 
     @property
     @override

@@ -15,23 +15,14 @@ T = TypeVar("T")  # A tree of arrays with one row for each transition, and of co
 
 
 class Memory(eqx.Module):
-    """Up to C transitions (s, a, r, s'), in the order of their observation.
+    """Up to C transitions (s, a, r, s'), in the order of their observation."""
 
-    Attributes:
-        observations: Observations of s, `[C, ...]`.
-        actions: Actions a, `[C, ...]`.
-        rewards: Rewards r.
-        next_observations: Observations of s', `[C, ...]`.
-        terminated: Whether s' is terminal.
-        count: Number of transitions; later rows are zero.
-    """
-
-    observations: Observation
-    actions: Action
-    rewards: Float[Array, "C"]
-    next_observations: Observation
-    terminated: Bool[Array, "C"]
-    count: Int[Array, ""]
+    observations: Observation  # observations of s, `[C, ...]`
+    actions: Action  # actions a, `[C, ...]`
+    rewards: Float[Array, "C"]  # rewards r
+    next_observations: Observation  # observations of s', `[C, ...]`
+    terminated: Bool[Array, "C"]  # whether s' is terminal
+    count: Int[Array, ""]  # number of transitions; later rows are zero
 
     @classmethod
     def empty(cls, capacity: int, observation: Observation, action: Action, dtype: jnp.dtype) -> "Memory":
@@ -110,15 +101,10 @@ class Memory(eqx.Module):
 
 
 class StoredRewards(eqx.Module):
-    """The exploration rewards of up to C transitions, as they were when the transitions were observed.
+    """The exploration rewards of up to C transitions, as they were when the transitions were observed."""
 
-    Attributes:
-        values: Exploration rewards, in the order of `Memory`; later ones are zero.
-        count: Number of transitions.
-    """
-
-    values: Float[Array, "C"]
-    count: Int[Array, ""]
+    values: Float[Array, "C"]  # exploration rewards, in the order of `Memory`; later ones are zero
+    count: Int[Array, ""]  # number of transitions
 
     @classmethod
     def empty(cls, capacity: int, dtype: jnp.dtype) -> "StoredRewards":

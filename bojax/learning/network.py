@@ -9,14 +9,10 @@ from bojax.numerics.linalg import matmul
 
 
 class Network(eqx.Module):
-    """A multilayer perceptron: `equinox.nn.MLP` with arrays as its only leaves.
+    """A multilayer perceptron: `equinox.nn.MLP` with arrays as its only leaves."""
 
-    Attributes:
-        layers: Linear layers, each with a bias.
-        activation: Activation function of the hidden units; the outputs are linear.
-    """
-
-    layers: tuple[eqx.nn.Linear, ...]
+    layers: tuple[eqx.nn.Linear, ...]  # linear layers, each with a bias
+    # Activation function of the hidden units; the outputs are linear
     activation: Callable[[Array], Array] = eqx.field(static=True)
 
     def __call__(self, x: Float[Array, "I"]) -> Float[Array, "O"]:

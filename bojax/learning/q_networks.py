@@ -26,51 +26,29 @@ from bojax.learning.network import Network
 
 
 class Batch(eqx.Module):
-    """The transitions of a gradient step, as inputs and outputs of the networks.
+    """The transitions of a gradient step, as inputs and outputs of the networks."""
 
-    Attributes:
-        x: Inputs of the states.
-        action: Indices of the actions.
-        reward: Rewards.
-        next_x: Inputs of the next states.
-        continues: 1, or 0 where the next state is terminal.
-        index: Positions of the transitions in the memory.
-    """
-
-    x: Float[Array, "B I"]
-    action: Int[Array, "B"]
+    x: Float[Array, "B I"]  # inputs of the states
+    action: Int[Array, "B"]  # indices of the actions
     reward: Float[Array, "B"]
-    next_x: Float[Array, "B I"]
-    continues: Float[Array, "B"]
-    index: Int[Array, "B"]
+    next_x: Float[Array, "B I"]  # inputs of the next states
+    continues: Float[Array, "B"]  # 1, or 0 where the next state is terminal
+    index: Int[Array, "B"]  # positions of the transitions in the memory
 
 
 class QNetworkState(eqx.Module):
-    """The state of a learner with Q-networks.
+    """The state of a learner with Q-networks."""
 
-    Attributes:
-        observations: Space of observations.
-        actions: The actions.
-        trained: Networks that are trained.
-        target: Their slow copies.
-        fixed: Random networks that never change.
-        optimiser: State of Adam.
-        memory: All transitions of the run, with the indices of actions.
-        index: Positions in the memory of the transitions of the next gradient step.
-        is_due: Whether a transition was observed since the last gradient step.
-        extra: Method-specific state.
-    """
-
-    observations: Space
+    observations: Space  # space of observations
     actions: Action
-    trained: PyTree
-    target: PyTree
-    fixed: PyTree
-    optimiser: PyTree
-    memory: Memory
-    index: Int[Array, "B"]
-    is_due: Bool[Array, ""]
-    extra: PyTree
+    trained: PyTree  # networks that are trained
+    target: PyTree  # their slow copies
+    fixed: PyTree  # random networks that never change
+    optimiser: PyTree  # state of Adam
+    memory: Memory  # all transitions of the run, with the indices of actions
+    index: Int[Array, "B"]  # positions in the memory of the transitions of the next gradient step
+    is_due: Bool[Array, ""]  # whether a transition was observed since the last gradient step
+    extra: PyTree  # method-specific state
 
 
 class QNetworkLearner(Learner):

@@ -21,22 +21,14 @@ class RBFFeatures(StateActionFeatures):
     to [0, 1], and values outside are clipped. phi is the outer product of x and y, of norm 1. Far from all
     centres, the function of the nearest one has the whole weight (normalised radial basis functions: Moody
     and Darken, Neural Computation 1, 1989, with a Euclidean norm in place of their sum).
-
-    Attributes:
-        observations: Bounds of observations.
-        actions: Space of actions.
-        state_centres: Centres in the observations, in [0, 1].
-        action_centres: Centres in the actions, in [0, 1].
-        state_width: Width of the functions of the state (w).
-        action_width: Width of those of the action.
     """
 
-    observations: Space
-    actions: Space
-    state_centres: Float[Array, "P D"]
-    action_centres: Float[Array, "R A"]
-    state_width: Float[Array, ""]
-    action_width: Float[Array, ""]
+    observations: Space  # bounds of observations
+    actions: Space  # space of actions
+    state_centres: Float[Array, "P D"]  # centres in the observations, in [0, 1]
+    action_centres: Float[Array, "R A"]  # centres in the actions, in [0, 1]
+    state_width: Float[Array, ""]  # width of the functions of the state (w)
+    action_width: Float[Array, ""]  # width of those of the action
 
     @property
     @override

@@ -26,22 +26,14 @@ class Equations(eqx.Module):
 
     They are beta S Phi'(c + D Phi_next m) = m, times (beta S)^-1. Targets of Q and of U differ in their
     constants c and discounts D; K is that of one of them.
-
-    Attributes:
-        matrix: K.
-        constants: Phi'c of Q and of U.
-        chosen: Index of a' of every transition among the candidates, or `NONE`.
-        discounts: The diagonal of D.
-        is_solved: Whether `solutions` are those of K.
-        solutions: The weights of Q and of U that solve equations with K.
     """
 
-    matrix: Float[Array, "M M"]
-    constants: Float[Array, "M 2"]
-    chosen: Int[Array, "C"]
-    discounts: Float[Array, "C"]
-    is_solved: Bool[Array, ""]
-    solutions: Float[Array, "M 2"]
+    matrix: Float[Array, "M M"]  # K
+    constants: Float[Array, "M 2"]  # Phi'c of Q and of U
+    chosen: Int[Array, "C"]  # index of a' of every transition among the candidates, or `NONE`
+    discounts: Float[Array, "C"]  # the diagonal of D
+    is_solved: Bool[Array, ""]  # whether `solutions` are those of K
+    solutions: Float[Array, "M 2"]  # the weights of Q and of U that solve equations with K
 
     @classmethod
     def empty(cls, model: EMUQModel, state: EMUQState) -> "Equations":

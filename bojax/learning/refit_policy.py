@@ -16,21 +16,13 @@ from bojax.numerics.linalg import matmul_on_tensor_cores, row_sums
 
 
 class Candidates(eqx.Module):
-    """Actions over which a policy maximises Q + kappa U, and what does not depend on the weights.
+    """Actions over which a policy maximises Q + kappa U, and what does not depend on the weights."""
 
-    Attributes:
-        model: Model of Q and U.
-        features: Feature map phi.
-        kappa: Weight of U.
-        ys: Features y(a) of the candidates.
-        covariance: Covariance of the weights; None if U needs no variance.
-    """
-
-    model: EMUQModel
-    features: StateActionFeatures
-    kappa: Float[Array, ""]
-    ys: Float[Array, "J R"]
-    covariance: Float[Array, "M M"] | None
+    model: EMUQModel  # model of Q and U
+    features: StateActionFeatures  # feature map phi
+    kappa: Float[Array, ""]  # weight of U
+    ys: Float[Array, "J R"]  # features y(a) of the candidates
+    covariance: Float[Array, "M M"] | None  # covariance of the weights; None if U needs no variance
 
     @classmethod
     def of(cls, model: EMUQModel, state: EMUQState, actions: Action, kappa: Float[Array, ""]) -> "Candidates":
@@ -96,17 +88,11 @@ class Candidates(eqx.Module):
 
 
 class Policy(eqx.Module):
-    """A policy at the next states of all transitions.
+    """A policy at the next states of all transitions."""
 
-    Attributes:
-        chosen: Index of a' = pi(s') among the candidates.
-        factors: Factor of U of a' in the TD target of U.
-        signature: A hash of all choices.
-    """
-
-    chosen: Int[Array, "C"]
-    factors: Float[Array, "C"]
-    signature: UInt32[Array, "2"]
+    chosen: Int[Array, "C"]  # index of a' = pi(s') among the candidates
+    factors: Float[Array, "C"]  # factor of U of a' in the TD target of U
+    signature: UInt32[Array, "2"]  # a hash of all choices
 
     @classmethod
     def of(cls, transitions: Transitions, candidates: Candidates, mean: Float[Array, "M 2"]) -> "Policy":

@@ -23,21 +23,13 @@ MOST_ON_CPU = 64  # largest block on a CPU
 
 
 class Rows(eqx.Module):
-    """A block of transitions and their features.
+    """A block of transitions and their features."""
 
-    Attributes:
-        memory: The transitions.
-        index: Their positions.
-        is_valid: Which of them to count.
-        phi: phi(s, a).
-        x: x(s').
-    """
-
-    memory: Memory
-    index: Int[Array, "B"]
-    is_valid: Bool[Array, "B"]
-    phi: Float[Array, "B M"]
-    x: Float[Array, "B P"]
+    memory: Memory  # the transitions
+    index: Int[Array, "B"]  # their positions
+    is_valid: Bool[Array, "B"]  # which of them to count
+    phi: Float[Array, "B M"]  # phi(s, a)
+    x: Float[Array, "B P"]  # x(s')
 
     def of(self, array: Shaped[Array, "C *N"]) -> Shaped[Array, "B *N"]:
         """The entries of these transitions."""
@@ -58,19 +50,12 @@ class Rows(eqx.Module):
 
 
 class Transitions(eqx.Module):
-    """All transitions of a run and their features, stored or recomputed.
+    """All transitions of a run and their features, stored or recomputed."""
 
-    Attributes:
-        state: State of the learner.
-        phi: phi(s, a) of the first transitions.
-        x: x(s') of the first transitions.
-        block: Number of transitions in a block.
-    """
-
-    state: EMUQState
-    phi: Float[Array, "T M"]
-    x: Float[Array, "T P"]
-    block: int = eqx.field(static=True)
+    state: EMUQState  # state of the learner
+    phi: Float[Array, "T M"]  # phi(s, a) of the first transitions
+    x: Float[Array, "T P"]  # x(s') of the first transitions
+    block: int = eqx.field(static=True)  # number of transitions in a block
 
     @classmethod
     def of(cls, state: EMUQState, block: int, with_phi: bool) -> "Transitions":

@@ -10,18 +10,12 @@ from bojax.learning.memory import Memory
 
 
 class ReplayPool(eqx.Module):
-    """The latest C transitions (s, a, s'). A row is a whole transition, so that no row spans two episodes.
+    """The latest C transitions (s, a, s'). A row is a whole transition, so that no row spans two episodes."""
 
-    Attributes:
-        observations: Observations of s, `[C, ...]`.
-        actions: Actions a, `[C, ...]`.
-        next_observations: Observations of s', `[C, ...]`.
-        added: Number of transitions added so far; once the pool is full, a new one replaces the oldest.
-    """
-
-    observations: Observation
-    actions: Action
-    next_observations: Observation
+    observations: Observation  # observations of s, `[C, ...]`
+    actions: Action  # actions a, `[C, ...]`
+    next_observations: Observation  # observations of s', `[C, ...]`
+    # Number of transitions added so far; once the pool is full, a new one replaces the oldest
     added: Int[Array, ""]
 
     @classmethod
@@ -72,15 +66,10 @@ class ReplayPool(eqx.Module):
 
 
 class Standardisation(eqx.Module):
-    """Mean and standard deviation of the rows of a table.
+    """Mean and standard deviation of the rows of a table."""
 
-    Attributes:
-        mean: Mean of each column.
-        deviation: Standard deviation of each column.
-    """
-
-    mean: Float[Array, "D"]
-    deviation: Float[Array, "D"]
+    mean: Float[Array, "D"]  # mean of each column
+    deviation: Float[Array, "D"]  # standard deviation of each column
 
     @classmethod
     def of(cls, rows: Float[Array, "N D"], is_valid: Bool[Array, "N"]) -> "Standardisation":

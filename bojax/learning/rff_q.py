@@ -18,17 +18,11 @@ from bojax.numerics.linalg import matmul
 
 
 class RFFQState(eqx.Module):
-    """The state of `RFFQ`.
+    """The state of `RFFQ`."""
 
-    Attributes:
-        features: Feature map phi of this run.
-        weights: Weights of Q.
-        candidates: Actions of the same number and shape as the candidates of the maximum, `[J, ...]`.
-    """
-
-    features: StateActionFeatures
-    weights: Float[Array, "M"]
-    candidates: Action
+    features: StateActionFeatures  # feature map phi of this run
+    weights: Float[Array, "M"]  # weights of Q
+    candidates: Action  # actions of the same number and shape as the candidates of the maximum, `[J, ...]`
 
 
 class RFFQ(Learner):

@@ -17,19 +17,12 @@ Q, U = 0, 1  # rows of the outputs of the value network
 
 
 class Normaliser(eqx.Module):
-    """Running moments of the discounted sums of bonuses, by Welford's method.
+    """Running moments of the discounted sums of bonuses, by Welford's method."""
 
-    Attributes:
-        total: Discounted sum of all bonuses so far.
-        count: Number of sums.
-        mean: Mean of the sums.
-        squares: Sum of squared differences from the mean.
-    """
-
-    total: Float[Array, ""]
-    count: Float[Array, ""]
-    mean: Float[Array, ""]
-    squares: Float[Array, ""]
+    total: Float[Array, ""]  # discounted sum of all bonuses so far
+    count: Float[Array, ""]  # number of sums
+    mean: Float[Array, ""]  # mean of the sums
+    squares: Float[Array, ""]  # sum of squared differences from the mean
 
     def after(self, bonus: Float[Array, ""], discount: Float[Array, ""]) -> "Normaliser":
         """Update the running moments with one bonus."""
@@ -46,15 +39,10 @@ class Normaliser(eqx.Module):
 
 
 class Networks(eqx.Module):
-    """The networks that are trained.
+    """The networks that are trained."""
 
-    Attributes:
-        values: Q and U of every action.
-        predictor: Prediction of the outputs of a random network.
-    """
-
-    values: Network
-    predictor: Network
+    values: Network  # Q and U of every action
+    predictor: Network  # prediction of the outputs of a random network
 
 
 class RND(QNetworkLearner):

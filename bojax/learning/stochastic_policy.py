@@ -36,15 +36,10 @@ class ActionDistribution(eqx.Module):
 
 
 class Gaussian(ActionDistribution):
-    """Independent Gaussian components.
-
-    Attributes:
-        mean: Means.
-        log_deviation: Logarithms of the standard deviations.
-    """
+    """Independent Gaussian components."""
 
     mean: Float[Array, "A"]
-    log_deviation: Float[Array, "A"]
+    log_deviation: Float[Array, "A"]  # logarithms of the standard deviations
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "A"]:
@@ -70,13 +65,9 @@ class Gaussian(ActionDistribution):
 
 
 class Categorical(ActionDistribution):
-    """A finite number of actions.
+    """A finite number of actions."""
 
-    Attributes:
-        logits: Logarithms of the probabilities, up to a constant.
-    """
-
-    logits: Float[Array, "J"]
+    logits: Float[Array, "J"]  # logarithms of the probabilities, up to a constant
 
     @override
     def sample(self, key: Key[Array, ""]) -> Int[Array, ""]:
@@ -101,13 +92,10 @@ class PolicyNetwork(eqx.Module):
     """Layers of tanh units whose outputs are the mean of a Gaussian, or the logits of discrete actions.
 
     Every leaf is a parameter. The deviation of the Gaussian does not depend on the observation.
-
-    Attributes:
-        network: The network.
-        log_deviation: Logarithms of the standard deviations; None for discrete actions.
     """
 
     network: Network
+    # Logarithms of the standard deviations; None for discrete actions
     log_deviation: Float[Array, "A"] | None
 
     @classmethod

@@ -18,13 +18,10 @@ Q, U = 0, 1  # columns of the table
 
 
 class Tables(eqx.Module):
-    """The state of a tabular learner, in one array: one write per step is faster than three.
+    """The state of a tabular learner, in one array: one write per step is faster than three."""
 
-    Attributes:
-        columns: For each state and action: the expected return Q, the expected exploration return U where
-            the learner has one, and, in the last column, the number of visits.
-    """
-
+    # For each state and action: the expected return Q, the expected exploration return U where the learner
+    # has one, and, in the last column, the number of visits
     columns: Float[Array, "S A C"]
 
     @property

@@ -26,25 +26,15 @@ def tiles(x: Float[Array, "D"], num_tilings: int) -> Int[Array, "T C"]:
 
 
 class TileTable(eqx.Module):
-    """The indices of the tiles seen so far, at most N of them.
+    """The indices of the tiles seen so far, at most N of them."""
 
-    Attributes:
-        tiles: Tiles of states, `[K, C]`; rows that are not in use are -1.
-        first: Index of each tile with action 0.
-        stride: Difference of its indices with one action and the next.
-        num_rows: Number of rows in use.
-        num_used: Number of indices in use.
-        size: Number of indices, N.
-        num_actions: Number of actions, A.
-    """
-
-    tiles: Int[Array, "K C"]
-    first: Int[Array, "K"]
-    stride: Int[Array, "K"]
-    num_rows: Int[Array, ""]
-    num_used: Int[Array, ""]
-    size: int = eqx.field(static=True)
-    num_actions: int = eqx.field(static=True)
+    tiles: Int[Array, "K C"]  # tiles of states, `[K, C]`; rows that are not in use are -1
+    first: Int[Array, "K"]  # index of each tile with action 0
+    stride: Int[Array, "K"]  # difference of its indices with one action and the next
+    num_rows: Int[Array, ""]  # number of rows in use
+    num_used: Int[Array, ""]  # number of indices in use
+    size: int = eqx.field(static=True)  # number of indices, N
+    num_actions: int = eqx.field(static=True)  # number of actions, A
 
     @classmethod
     def empty(cls, size: int, num_tilings: int, num_dims: int, num_actions: int) -> "TileTable":

@@ -19,19 +19,12 @@ P = TypeVar("P")
 
 
 class Samples(eqx.Module):
-    """Actions that a policy drew, and their advantages.
+    """Actions that a policy drew, and their advantages."""
 
-    Attributes:
-        inputs: Inputs of the policy's network.
-        actions: Actions, `[N, ...]`.
-        advantages: Advantages.
-        is_valid: Which rows count.
-    """
-
-    inputs: Float[Array, "N I"]
-    actions: Array
+    inputs: Float[Array, "N I"]  # inputs of the policy's network
+    actions: Array  # actions, `[N, ...]`
     advantages: Float[Array, "N"]
-    is_valid: Bool[Array, "N"]
+    is_valid: Bool[Array, "N"]  # which rows count
 
     def mean(self, values: Float[Array, "N"]) -> Float[Array, ""]:
         """Mean over the valid rows."""

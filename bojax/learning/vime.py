@@ -31,31 +31,18 @@ _LEAST_DEVIATION = 1e-4
 
 
 class VIMEState(eqx.Module):
-    """The state of `VIME`.
+    """The state of `VIME`."""
 
-    Attributes:
-        observations: Space of observations.
-        actions: Space of actions.
-        policy: Network of the policy.
-        baseline: Baseline of the returns.
-        model: Posterior of the dynamics model.
-        optimiser: State of Adam for the model.
-        pool: Transitions of the finished iterations.
-        batch: Episodes of the current iteration.
-        medians: Medians of the bonuses of the last Q iterations; 0 where fewer have finished.
-        iterations: Number of finished iterations.
-    """
-
-    observations: Space
-    actions: Space
-    policy: PolicyNetwork
-    baseline: LinearBaseline
-    model: BayesianNetwork
-    optimiser: optax.OptState
-    pool: ReplayPool
-    batch: EpisodeBatch
-    medians: Float[Array, "Q"]
-    iterations: Int[Array, ""]
+    observations: Space  # space of observations
+    actions: Space  # space of actions
+    policy: PolicyNetwork  # network of the policy
+    baseline: LinearBaseline  # baseline of the returns
+    model: BayesianNetwork  # posterior of the dynamics model
+    optimiser: optax.OptState  # state of Adam for the model
+    pool: ReplayPool  # transitions of the finished iterations
+    batch: EpisodeBatch  # episodes of the current iteration
+    medians: Float[Array, "Q"]  # medians of the bonuses of the last Q iterations; 0 where fewer have finished
+    iterations: Int[Array, ""]  # number of finished iterations
 
 
 class VIME(Learner):

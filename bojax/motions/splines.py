@@ -31,14 +31,12 @@ class SplineSet(DiscreteMotions):
     it.
 
     Settings: `bojax.motions.settings.Splines`.
-
-    Attributes:
-        room: Number of paths, by default those of the set. Larger sets extend the smaller ones.
     """
 
     length: Float[Array, ""]
     actions: Float[Array, ""]
     num_samples: int = eqx.field(static=True)
+    # Number of paths, by default those of the set. Larger sets extend the smaller ones
     room: int = eqx.field(static=True)
 
     def __init__(

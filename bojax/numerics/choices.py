@@ -8,15 +8,10 @@ from jaxtyping import Array, Bool, Int
 
 
 class Choice(eqx.Module):
-    """One of several names.
+    """One of several names."""
 
-    Attributes:
-        index: Position of the name.
-        names: All names.
-    """
-
-    index: Int[Array, ""]
-    names: tuple[str, ...] = eqx.field(static=True)
+    index: Int[Array, ""]  # position of the name
+    names: tuple[str, ...] = eqx.field(static=True)  # all names
 
     def is_(self, name: str) -> Bool[Array, ""]:
         """Whether this name is chosen."""

@@ -71,12 +71,9 @@ def _acted(policy: Policy, problem: StateProblem) -> tuple[Float[Array, "K"], Bo
 
 
 class PolicyPlanner(BeliefPlanner):
-    """A policy without search, which predicts no value.
+    """A policy without search, which predicts no value."""
 
-    Attributes:
-        policy: The policy, or its name in `bojax.planning.oracles`.
-    """
-
+    # The policy, or its name in `bojax.planning.oracles`
     policy: Policy = eqx.field(static=True, converter=policy_named)
 
     @override
@@ -98,19 +95,15 @@ class States(NamedTuple):
 
 
 class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
-    """A planner that searches a tree of beliefs about the state of a `StateProblem`.
+    """A planner that searches a tree of beliefs about the state of a `StateProblem`."""
 
-    Attributes:
-        leaf_value: Estimate of the value of a new belief.
-        first_action: Policy that gives the first action of the root; None to propose it as the others. Not
-            used if the space is discrete.
-        trees: Number of independent trees of a plan, each of `iterations` simulations.
-        merge_lengthscale: Distance at which actions of different trees are alike, see `recommended_by_all`.
-    """
-
-    leaf_value: LeafValue
+    leaf_value: LeafValue  # estimate of the value of a new belief
+    # Policy that gives the first action of the root; None to propose it as the others. Not used if the space
+    # is discrete
     first_action: Policy | None = eqx.field(static=True, converter=policy_named)
+    # Number of independent trees of a plan, each of `iterations` simulations
     trees: int = eqx.field(static=True)
+    # Distance at which actions of different trees are alike, see `recommended_by_all`
     merge_lengthscale: Float[Array, ""]
 
     @override

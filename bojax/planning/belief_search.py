@@ -51,19 +51,12 @@ branch has this observation; and how often the observation of each branch was dr
 
 
 class Expansion(eqx.Module):
-    """A new branch.
+    """A new branch."""
 
-    Attributes:
-        belief: What the tree stores for its belief node.
-        reward: Reward of the action.
-        is_terminal: Whether the episode ends with it.
-        leaf: What the value of its belief is estimated from.
-    """
-
-    belief: Belief
-    reward: Float[Array, ""]
-    is_terminal: Bool[Array, ""]
-    leaf: Leaf
+    belief: Belief  # what the tree stores for its belief node
+    reward: Float[Array, ""]  # reward of the action
+    is_terminal: Bool[Array, ""]  # whether the episode ends with it
+    leaf: Leaf  # what the value of its belief is estimated from
 
 
 class BeliefTreeSearch(eqx.Module):
@@ -75,27 +68,20 @@ class BeliefTreeSearch(eqx.Module):
     proportion to how often they were drawn. Random numbers are functions of the key, the
     iteration and the level. Loops have as many turns as the deepest lane of a batch needs: batch with
     `vmap(axis_name=LANES)`.
-
-    Attributes:
-        exploration: The factor c.
-        action_widening: Rule by which actions are added; of a discrete space all actions exist at once.
-        observation_widening: Rule by which branches are added.
-        proposal: How a new action is chosen.
-        recommendation: Whether the plan is the action of the highest "value" or that of most "visits".
-        iterations: Simulations a plan.
-        depth: Actions to the horizon.
-        max_actions: Capacity of a belief node; ignored for a discrete space. Widening stops there.
-        max_branches: Capacity of an action node; with 1, a tree plans on one foreseen observation.
     """
 
-    exploration: Float[Array, ""]
+    exploration: Float[Array, ""]  # the factor c
+    # Rule by which actions are added; of a discrete space all actions exist at once
     action_widening: Widening
-    observation_widening: Widening
-    proposal: Proposal
+    observation_widening: Widening  # rule by which branches are added
+    proposal: Proposal  # how a new action is chosen
+    # Whether the plan is the action of the highest "value" or that of most "visits"
     recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
-    iterations: int = eqx.field(static=True)
-    depth: int = eqx.field(static=True)
+    iterations: int = eqx.field(static=True)  # simulations a plan
+    depth: int = eqx.field(static=True)  # actions to the horizon
+    # Capacity of a belief node; ignored for a discrete space. Widening stops there
     max_actions: int = eqx.field(static=True)
+    # Capacity of an action node; with 1, a tree plans on one foreseen observation
     max_branches: int = eqx.field(static=True)
 
     @abc.abstractmethod
@@ -417,36 +403,20 @@ class _Rules(NamedTuple):
 
 
 class _Descent(eqx.Module):
-    """A descent from the root.
+    """A descent from the root."""
 
-    Attributes:
-        turn: Turns of the loop, the same in all lanes.
-        level: Number of branches followed.
-        node: Belief node reached.
-        state: State of the simulation there.
-        slot: Position of the action chosen there.
-        action: Its action node.
-        parameters: The parameters of that action node.
-        branch: Number of branches of that action.
-        is_new_action: Whether the action has no visit yet.
-        is_active: Whether the descent goes on.
-        is_expanded: Whether it has ended with a new branch.
-        is_at_horizon: Whether it has ended at a belief node without actions, at the horizon.
-        actions: Action node chosen at each level; past the end for levels that were not reached.
-        rewards: Reward of the branch followed at each level.
-    """
-
-    turn: Int[Array, ""]
-    level: Int[Array, ""]
-    node: Int[Array, ""]
-    state: Float[Array, "D"]
-    slot: Int[Array, ""]
-    action: Int[Array, ""]
-    parameters: Num[Array, "P"]
-    branch: Int[Array, ""]
-    is_new_action: Bool[Array, ""]
-    is_active: Bool[Array, ""]
-    is_expanded: Bool[Array, ""]
-    is_at_horizon: Bool[Array, ""]
+    turn: Int[Array, ""]  # turns of the loop, the same in all lanes
+    level: Int[Array, ""]  # number of branches followed
+    node: Int[Array, ""]  # belief node reached
+    state: Float[Array, "D"]  # state of the simulation there
+    slot: Int[Array, ""]  # position of the action chosen there
+    action: Int[Array, ""]  # its action node
+    parameters: Num[Array, "P"]  # the parameters of that action node
+    branch: Int[Array, ""]  # number of branches of that action
+    is_new_action: Bool[Array, ""]  # whether the action has no visit yet
+    is_active: Bool[Array, ""]  # whether the descent goes on
+    is_expanded: Bool[Array, ""]  # whether it has ended with a new branch
+    is_at_horizon: Bool[Array, ""]  # whether it has ended at a belief node without actions, at the horizon
+    # Action node chosen at each level; past the end for levels that were not reached
     actions: Int[Array, "H"]
-    rewards: Float[Array, "H"]
+    rewards: Float[Array, "H"]  # reward of the branch followed at each level

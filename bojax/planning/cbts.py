@@ -33,21 +33,17 @@ class NodeModels(eqx.Module):
     The observations of a node's process are the node's actions. Each one is stored with the child that the
     action leads to: its parameters, and the rows that it appended to the inverse Cholesky factor and to the
     whitened covariances of the candidates; its value is the reward in the tree. The row of the root is zero.
-
-    Attributes:
-        candidates: Parameters over which acquisitions are maximised and from which rollouts draw.
-        paths: Paths of the candidates.
-        actions: Parameters and row in the factor of the action that leads to each node, see `NodeAction`.
-        whitened: Row of the same action in the whitened covariances of the candidates.
-        has_converged: Whether the same action was within `convergence` of the action before it.
     """
 
     # One row a node: N (A + C) numbers instead of N A (A + C) for a factor and covariances of every node.
     # Parameters and row are one array, since each array costs a GPU a kernel in every iteration.
+    # Parameters over which acquisitions are maximised and from which rollouts draw
     candidates: Float[Array, "C D"]
-    paths: Float[Array, "C S 3"]
+    paths: Float[Array, "C S 3"]  # paths of the candidates
+    # Parameters and row in the factor of the action that leads to each node, see `NodeAction`
     actions: Float[Array, "N K"]
-    whitened: Float[Array, "N C"]
+    whitened: Float[Array, "N C"]  # row of the same action in the whitened covariances of the candidates
+    # Whether the same action was within `convergence` of the action before it
     has_converged: Bool[Array, "N"]
 
     @property
@@ -63,28 +59,18 @@ class NodeModels(eqx.Module):
 
 
 class NodeAction(eqx.Module):
-    """What an action adds to the Gaussian process of its node, see `NodeModels`.
+    """What an action adds to the Gaussian process of its node, see `NodeModels`."""
 
-    Attributes:
-        params: Parameters of the action.
-        row: Its row in the inverse Cholesky factor.
-        whitened: Its row in the whitened covariances of the candidates.
-    """
-
-    params: Float[Array, "*A D"]
-    row: Float[Array, "*A A"]
-    whitened: Float[Array, "*A C"]
+    params: Float[Array, "*A D"]  # parameters of the action
+    row: Float[Array, "*A A"]  # its row in the inverse Cholesky factor
+    whitened: Float[Array, "*A C"]  # its row in the whitened covariances of the candidates
 
 
 class CBTSDraws(eqx.Module):
-    """Random numbers of a plan, by iteration.
+    """Random numbers of a plan, by iteration."""
 
-    Attributes:
-        rollout: Indices of the candidates that the rollout follows.
-        initial: Index of the candidate that a node with fewer than `num_initial` actions tries.
-    """
-
-    rollout: Int[Array, "... H"]
+    rollout: Int[Array, "... H"]  # indices of the candidates that the rollout follows
+    # Index of the candidate that a node with fewer than `num_initial` actions tries
     initial: Int[Array, "..."]
 
 

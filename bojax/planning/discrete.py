@@ -15,27 +15,17 @@ from bojax.problems.base import Objective
 
 
 class DiscreteMemory(eqx.Module):
-    """The action that leads to each node, and the paths of all actions.
+    """The action that leads to each node, and the paths of all actions."""
 
-    Attributes:
-        paths: Paths of the actions.
-        action: Action that leads to each node.
-    """
-
-    paths: Float[Array, "A S 3"]
-    action: Int[Array, "N"]
+    paths: Float[Array, "A S 3"]  # paths of the actions
+    action: Int[Array, "N"]  # action that leads to each node
 
 
 class DiscreteDraws(eqx.Module):
-    """Random numbers of a plan, by iteration.
+    """Random numbers of a plan, by iteration."""
 
-    Attributes:
-        rollout: Actions of the rollout.
-        order: Priorities in which untried actions are chosen.
-    """
-
-    rollout: Int[Array, "... H"]
-    order: Float[Array, "... A"]
+    rollout: Int[Array, "... H"]  # actions of the rollout
+    order: Float[Array, "... A"]  # priorities in which untried actions are chosen
 
 
 class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""], None, DiscreteMotions]):

@@ -47,17 +47,6 @@ class GaussianProcessProposal(Proposal):
     The incumbent of an improvement is the highest posterior mean at an action, not the highest noisy mean.
 
     Settings: `bojax.planning.settings.GaussianProcessProposal`.
-
-    Attributes:
-        learns: What the process learns: the immediate "reward" (as in the thesis) or the "return".
-        kernel: Covariance of two actions' coordinates; an angle is a point on the unit circle, so that the
-            squared exponential kernel is exp(-2 sin^2(d / 2) / l^2) of a difference d.
-        level_correlation: Correlation of actions that differ only in the level.
-        acquisition: Score of an action.
-        noise_variance: Variance added to each observation, relative to the variance of the means: returns
-            drift while the subtree grows.
-        num_initial: Number of first actions that are random.
-        num_candidates: Number of random actions among which the proposal is chosen.
     """
 
     gains_from_passes: ClassVar[bool] = True
@@ -66,12 +55,18 @@ class GaussianProcessProposal(Proposal):
     At the quick level, operations on its many small matrices take 2.3 times as long.
     """
 
+    # What the process learns: the immediate "reward" (as in the thesis) or the "return"
     learns: Target = eqx.field(static=True)
+    # Covariance of two actions' coordinates; an angle is a point on the unit circle, so that the squared
+    # exponential kernel is exp(-2 sin^2(d / 2) / l^2) of a difference d
     kernel: Kernel
-    level_correlation: Float[Array, ""]
-    acquisition: Acquisition
+    level_correlation: Float[Array, ""]  # correlation of actions that differ only in the level
+    acquisition: Acquisition  # score of an action
+    # Variance added to each observation, relative to the variance of the means: returns drift while the
+    # subtree grows
     noise_variance: Float[Array, ""]
-    num_initial: int = eqx.field(static=True)
+    num_initial: int = eqx.field(static=True)  # number of first actions that are random
+    # Number of random actions among which the proposal is chosen
     num_candidates: int = eqx.field(static=True)
 
     @property

@@ -22,22 +22,15 @@ class Stencils(eqx.Module):
 
     Stencil v < N is the initial one of node v; stencil N + c was added together with node c. Points are
     actions. Their positions follow from centre and radius, and `member` holds those that have been simulated.
-
-    Attributes:
-        paths: Random paths for rollouts.
-        params: Parameters of the action that leads to each node.
-        centre: Centres in the box [-1, 1]^D.
-        radius: Step lengths.
-        member: Nodes that the points lead to; `UNVISITED` for points that have not been simulated.
-        finer: Stencils that refine the points; `UNVISITED` for points without one.
     """
 
-    paths: Float[Array, "C S 3"]
-    params: Float[Array, "N D"]
-    centre: Float[Array, "G D"]
-    radius: Float[Array, "G"]
+    paths: Float[Array, "C S 3"]  # random paths for rollouts
+    params: Float[Array, "N D"]  # parameters of the action that leads to each node
+    centre: Float[Array, "G D"]  # centres in the box [-1, 1]^D
+    radius: Float[Array, "G"]  # step lengths
+    # Nodes that the points lead to; `UNVISITED` for points that have not been simulated
     member: Int[Array, "G P"]
-    finer: Int[Array, "G P"]
+    finer: Int[Array, "G P"]  # stencils that refine the points; `UNVISITED` for points without one
 
     def points(self, stencil: Int[Array, ""]) -> Float[Array, "P D"]:
         """Positions of the points of a stencil."""
@@ -45,41 +38,25 @@ class Stencils(eqx.Module):
 
 
 class Walk(eqx.Module):
-    """Result of the descent through a node's stencil tree along the points of highest mean return.
+    """Result of the descent through a node's stencil tree along the points of highest mean return."""
 
-    Attributes:
-        stencil: The last stencil.
-        point: Its point of highest mean return.
-        has_unvisited: Whether the last stencil has points that have not been simulated.
-        may_refine: Whether all its points have been simulated, and its best point may be refined.
-        best_ucb: Child with the highest upper confidence bound among all points on the way.
-        most_visited: Most visited child among the best points on the way.
-    """
-
-    stencil: Int[Array, ""]
-    point: Int[Array, ""]
-    has_unvisited: Bool[Array, ""]
+    stencil: Int[Array, ""]  # the last stencil
+    point: Int[Array, ""]  # its point of highest mean return
+    has_unvisited: Bool[Array, ""]  # whether the last stencil has points that have not been simulated
+    # Whether all its points have been simulated, and its best point may be refined
     may_refine: Bool[Array, ""]
-    best_ucb: Int[Array, ""]
-    most_visited: Int[Array, ""]
+    best_ucb: Int[Array, ""]  # child with the highest upper confidence bound among all points on the way
+    most_visited: Int[Array, ""]  # most visited child among the best points on the way
 
 
 class _Descent(eqx.Module):
-    """The state of a descent through a node's stencil tree.
+    """The state of a descent through a node's stencil tree."""
 
-    Attributes:
-        walk: The result so far.
-        is_walking: Whether the descent has not ended.
-        best_bound: Highest upper confidence bound.
-        most_visits: Number of visits of `Walk.most_visited`.
-        fewest_visits: Smallest number of visits of a best point.
-    """
-
-    walk: Walk
-    is_walking: Bool[Array, ""]
-    best_bound: Float[Array, ""]
-    most_visits: Float[Array, ""]
-    fewest_visits: Float[Array, ""]
+    walk: Walk  # the result so far
+    is_walking: Bool[Array, ""]  # whether the descent has not ended
+    best_bound: Float[Array, ""]  # highest upper confidence bound
+    most_visits: Float[Array, ""]  # number of visits of `Walk.most_visited`
+    fewest_visits: Float[Array, ""]  # smallest number of visits of a best point
 
     @classmethod
     def at(cls, node: Int[Array, ""], dtype: jnp.dtype) -> "_Descent":
@@ -102,39 +79,24 @@ class _Descent(eqx.Module):
 
 
 class StencilDraws(eqx.Module):
-    """Random numbers of a plan, by iteration.
+    """Random numbers of a plan, by iteration."""
 
-    Attributes:
-        rollout: Indices of the paths that the rollout follows.
-        order: Priorities in which the unvisited points of a stencil are chosen.
-    """
-
-    rollout: Int[Array, "... H"]
-    order: Float[Array, "... P"]
+    rollout: Int[Array, "... H"]  # indices of the paths that the rollout follows
+    order: Float[Array, "... P"]  # priorities in which the unvisited points of a stencil are chosen
 
 
 class StencilUpdate(eqx.Module):
-    """Change of the stencils by a new action.
+    """Change of the stencils by a new action."""
 
-    Attributes:
-        params: Parameters of the action.
-        stencil: Last stencil of the descent, to which the action belongs unless it refines a point.
-        point: Index of the action in that stencil, or in the finer stencil.
-        refined: Index of the point that is refined.
-        is_refinement: Whether a point is refined.
-        centre: Centre of the finer stencil.
-        radius: Radius of the finer stencil.
-        member: Members of the finer stencil that have been simulated before.
-    """
-
-    params: Float[Array, "D"]
+    params: Float[Array, "D"]  # parameters of the action
+    # Last stencil of the descent, to which the action belongs unless it refines a point
     stencil: Int[Array, ""]
-    point: Int[Array, ""]
-    refined: Int[Array, ""]
-    is_refinement: Bool[Array, ""]
-    centre: Float[Array, "D"]
-    radius: Float[Array, ""]
-    member: Int[Array, "P"]
+    point: Int[Array, ""]  # index of the action in that stencil, or in the finer stencil
+    refined: Int[Array, ""]  # index of the point that is refined
+    is_refinement: Bool[Array, ""]  # whether a point is refined
+    centre: Float[Array, "D"]  # centre of the finer stencil
+    radius: Float[Array, ""]  # radius of the finer stencil
+    member: Int[Array, "P"]  # members of the finer stencil that have been simulated before
 
 
 class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, ContinuousMotions]):

@@ -55,15 +55,11 @@ class StateValue(LeafValue):
 
 
 class Rollout(LeafValue):
-    """Mean return of simulations of a policy, each from a random state of the belief, to the horizon.
+    """Mean return of simulations of a policy, each from a random state of the belief, to the horizon."""
 
-    Attributes:
-        policy: Policy that acts on a belief of one state; None for random actions.
-        num_rollouts: Number of simulations.
-    """
-
+    # Policy that acts on a belief of one state; None for random actions
     policy: Policy | None = eqx.field(static=True, default=None, converter=policy_named)
-    num_rollouts: int = eqx.field(static=True, default=1)
+    num_rollouts: int = eqx.field(static=True, default=1)  # number of simulations
 
     @override
     def __call__(

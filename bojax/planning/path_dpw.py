@@ -23,23 +23,14 @@ from bojax.problems.path_problem import Node, PathProblem, Root
 
 
 class PathModel(eqx.Module):
-    """What is searched in one plan: a path problem, whose actions are parameters of paths.
-
-    Attributes:
-        problem: The problem.
-        root: Data shared by the nodes of the plan, and `node`, the root node.
-        node: The root node.
-        rollouts: Random paths that rollouts draw from.
-        actions: Space of the parameters.
-        discount: Discount per step.
-    """
+    """What is searched in one plan: a path problem, whose actions are parameters of paths."""
 
     problem: PathProblem
-    root: Root
-    node: Node
-    rollouts: Float[Array, "C S 3"]
-    actions: Box
-    discount: Float[Array, ""]
+    root: Root  # data shared by the nodes of the plan, and `node`, the root node
+    node: Node  # the root node
+    rollouts: Float[Array, "C S 3"]  # random paths that rollouts draw from
+    actions: Box  # space of the parameters
+    discount: Float[Array, ""]  # discount per step
 
 
 class RolloutRewards(NamedTuple):
@@ -59,16 +50,13 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
     `bojax.problems.pomdp.uncertain_pose`.
 
     Settings: `bojax.planning.settings.PathDPW`.
-
-    Attributes:
-        objective: Objective that is maximised; None for the problem's task.
-        num_rollout_paths: Number of random paths that the rollouts of a plan draw from.
     """
 
     motions: ContinuousMotions
     discount: Float[Array, ""]
+    # Number of random paths that the rollouts of a plan draw from
     num_rollout_paths: int = eqx.field(static=True)
-    objective: Objective = None
+    objective: Objective = None  # objective that is maximised; None for the problem's task
 
     @override
     def plan(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> Plan:

@@ -21,15 +21,10 @@ ENTROPY_FLOOR = 1e-6
 
 
 class ParticleSet(eqx.Module):
-    """A belief of a few states of equal weight.
-
-    Attributes:
-        states: The states.
-        alive: Which of them are not terminal.
-    """
+    """A belief of a few states of equal weight."""
 
     states: Float[Array, "M D"]
-    alive: Bool[Array, "M"]
+    alive: Bool[Array, "M"]  # which of them are not terminal
 
     def weighted(self) -> Particles:
         """The same belief with weights, which are 0 for terminal states."""
@@ -49,12 +44,9 @@ class BeliefStep(eqx.Module):
     The published program instead weighs particles that end as the others, and the belief ends once all have.
     What follows a belief is then not multiplied by the probability of survival. If the weights sum to less
     than the spacing of float64 numbers at 1/M, the belief is drawn anew from the initial one, with reward 0.
-
-    Attributes:
-        is_published: Whether termination is treated as in the published program.
     """
 
-    is_published: bool = eqx.field(static=True)
+    is_published: bool = eqx.field(static=True)  # whether termination is treated as in the published program
 
     def __call__(
         self,
@@ -161,16 +153,11 @@ class PFT(BeliefSearch):
 
     With `information`, a step that does not end the episode is rewarded for the entropy that it takes from
     the belief, times this factor (a rho-POMDP: Araya-Lopez et al., NeurIPS 2010). Leaf values are without.
-
-    Attributes:
-        num_particles: Particles of a belief node.
-        belief_step: The belief MDP.
-        information: Reward of a nat of entropy; None for none.
     """
 
-    belief_step: BeliefStep = eqx.field(converter=belief_step_named)
-    num_particles: int = eqx.field(static=True)
-    information: Float[Array, ""] | None = None
+    belief_step: BeliefStep = eqx.field(converter=belief_step_named)  # the belief MDP
+    num_particles: int = eqx.field(static=True)  # particles of a belief node
+    information: Float[Array, ""] | None = None  # reward of a nat of entropy; None for none
 
     @override
     def root(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> ParticleSet:
@@ -210,14 +197,9 @@ class PFT(BeliefSearch):
 
 
 class BeliefRollout(LeafValue):
-    """Return of one simulation of a policy in the belief MDP, to the horizon.
+    """Return of one simulation of a policy in the belief MDP, to the horizon."""
 
-    Attributes:
-        belief_step: The belief MDP.
-        policy: The policy.
-    """
-
-    belief_step: BeliefStep = eqx.field(converter=belief_step_named)
+    belief_step: BeliefStep = eqx.field(converter=belief_step_named)  # the belief MDP
     policy: Policy = eqx.field(static=True, converter=policy_named)
 
     @override

@@ -59,18 +59,12 @@ class VoronoiProposal(Proposal):
     of that action, or within `radius` of it; if none is, the candidate that is closest to it is proposed.
 
     Deviation: distances are those of parameters, and candidates are clipped to [-1, 1].
-
-    Attributes:
-        probability: Probability of a random action.
-        variance: Variance of the Gaussian, for each parameter, or one number for all.
-        radius: Distance within which a candidate is accepted at once.
-        max_candidates: Number of candidates.
     """
 
-    probability: Float[Array, ""]
-    variance: Float[Array, "P"]
-    radius: Float[Array, ""]
-    max_candidates: int = eqx.field(static=True)
+    probability: Float[Array, ""]  # probability of a random action
+    variance: Float[Array, "P"]  # variance of the Gaussian, for each parameter, or one number for all
+    radius: Float[Array, ""]  # distance within which a candidate is accepted at once
+    max_candidates: int = eqx.field(static=True)  # number of candidates
 
     @override
     def __call__(

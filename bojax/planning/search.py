@@ -30,17 +30,11 @@ Update = TypeVar("Update", bound=eqx.Module | None)
 
 
 class Proposal(eqx.Module, Generic[Update]):
-    """A new action of a node.
+    """A new action of a node."""
 
-    Attributes:
-        path: Path of the action.
-        index: Index of the action among the actions of the node.
-        update: Change of the memory once the action has been simulated.
-    """
-
-    path: Path
-    index: Int[Array, ""]
-    update: Update
+    path: Path  # path of the action
+    index: Int[Array, ""]  # index of the action among the actions of the node
+    update: Update  # change of the memory once the action has been simulated
 
 
 class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
@@ -249,16 +243,11 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
 
 
 class _Descent(NamedTuple):
-    """A descent from the root.
+    """A descent from the root."""
 
-    Attributes:
-        node: The last node reached.
-        level: Its number of actions from the root.
-        visited: At each level below the root: the node, and whether the descent reached it.
-    """
-
-    node: Int[Array, ""]
-    level: Int[Array, ""]
+    node: Int[Array, ""]  # the last node reached
+    level: Int[Array, ""]  # its number of actions from the root
+    # At each level below the root: the node, and whether the descent reached it
     visited: list[tuple[Int[Array, ""], Bool[Array, ""]]]
 
 

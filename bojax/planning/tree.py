@@ -21,26 +21,21 @@ Belief = Any
 
 
 class Tree(eqx.Module):
-    """N belief nodes with at most A actions each, and N action nodes with at most B branches each.
-
-    Attributes:
-        beliefs: Beliefs, each array with a leading axis of belief nodes.
-        outcome: Reward of the branch that leads to a belief node, and whether the episode has ended there.
-        totals: Number of visits and sum of returns of each action node; for a proposal that learns, also the
-            sum of its target and of squared deviations from the mean target. A search may count its
-            simulations in the row of the root.
-        children: Action node of each action of a belief node, or `UNVISITED`.
-        branches: Belief node of each branch of an action node, in the order in which they were added, or
-            `UNVISITED`; None for one branch an action.
-        parameters: Parameters of the action of an action node; None if the planner stores them elsewhere.
-    """
+    """N belief nodes with at most A actions each, and N action nodes with at most B branches each."""
 
     # Numbers that are written together are one array: each array costs a GPU a kernel in every iteration.
-    beliefs: Belief
+    beliefs: Belief  # beliefs, each array with a leading axis of belief nodes
+    # Reward of the branch that leads to a belief node, and whether the episode has ended there
     outcome: Float[Array, "N 2"]
+    # Number of visits and sum of returns of each action node; for a proposal that learns, also the sum of its
+    # target and of squared deviations from the mean target. A search may count its simulations in the row of
+    # the root
     totals: Float[Array, "N T"]
-    children: Int[Array, "N A"]
+    children: Int[Array, "N A"]  # action node of each action of a belief node, or `UNVISITED`
+    # Belief node of each branch of an action node, in the order in which they were added, or `UNVISITED`;
+    # None for one branch an action
     branches: Int[Array, "N B"] | None
+    # Parameters of the action of an action node; None if the planner stores them elsewhere
     parameters: Num[Array, "N P"] | None
 
     @classmethod
@@ -152,46 +147,28 @@ class Tree(eqx.Module):
 
 
 class Growth(eqx.Module):
-    """What a simulation adds to a tree of N nodes with A actions: two nodes of one index, and its returns.
+    """What a simulation adds to a tree of N nodes with A actions: two nodes of one index, and its returns."""
 
-    Attributes:
-        index: Index of the new nodes, an action node and a belief node, whether or not they are added.
-        belief: Belief of the belief node.
-        outcome: `Tree.outcome` of the belief node.
-        credited: Action nodes that the simulation passed; N for levels that were not reached.
-        added: Addition to `Tree.totals` of these nodes.
-        node: Belief node that the action belongs to.
-        slot: Place of the action node among the actions of `node`; A if it is not added.
-        action: Action node that the belief node belongs to, N if it is not added; None for one branch an
-            action.
-        branch: Place of the belief node among the branches of `action`.
-        parameters: `Tree.parameters` of the action node.
-    """
-
+    # Index of the new nodes, an action node and a belief node, whether or not they are added
     index: Int[Array, ""]
-    belief: Belief
-    outcome: Float[Array, "2"]
-    credited: Int[Array, "L"]
-    added: Float[Array, "L T"]
-    node: Int[Array, ""]
-    slot: Int[Array, ""]
+    belief: Belief  # belief of the belief node
+    outcome: Float[Array, "2"]  # `Tree.outcome` of the belief node
+    credited: Int[Array, "L"]  # action nodes that the simulation passed; N for levels that were not reached
+    added: Float[Array, "L T"]  # addition to `Tree.totals` of these nodes
+    node: Int[Array, ""]  # belief node that the action belongs to
+    slot: Int[Array, ""]  # place of the action node among the actions of `node`; A if it is not added
+    # Action node that the belief node belongs to, N if it is not added; None for one branch an action
     action: Int[Array, ""] | None = None
-    branch: Int[Array, ""] | None = None
-    parameters: Num[Array, "P"] | None = None
+    branch: Int[Array, ""] | None = None  # place of the belief node among the branches of `action`
+    parameters: Num[Array, "P"] | None = None  # `Tree.parameters` of the action node
 
 
 class RootActions(NamedTuple):
-    """The actions of the root of a tree, or of several trees.
+    """The actions of the root of a tree, or of several trees."""
 
-    Attributes:
-        parameters: Parameters of each action; those of an action without a visit may be any.
-        visits: Number of visits of each action.
-        returns: Sum of returns of each action.
-    """
-
-    parameters: Num[Array, "A P"]
-    visits: Float[Array, "A"]
-    returns: Float[Array, "A"]
+    parameters: Num[Array, "A P"]  # parameters of each action; those of an action without a visit may be any
+    visits: Float[Array, "A"]  # number of visits of each action
+    returns: Float[Array, "A"]  # sum of returns of each action
 
     def values(self) -> Float[Array, "A"]:
         """Mean return of each action; -inf for actions without a visit."""

@@ -9,15 +9,10 @@ _ROUNDING = 32
 
 
 class Widening(eqx.Module):
-    """Progressive widening: another child is added iff their number is at most k n^alpha after n visits.
+    """Progressive widening: another child is added iff their number is at most k n^alpha after n visits."""
 
-    Attributes:
-        coefficient: The factor k.
-        exponent: The exponent alpha, in [0, 1].
-    """
-
-    coefficient: Float[Array, ""]
-    exponent: Float[Array, ""]
+    coefficient: Float[Array, ""]  # the factor k
+    exponent: Float[Array, ""]  # the exponent alpha, in [0, 1]
 
     def thresholds(self, capacity: int) -> Float[Array, "C"]:
         """Visits after which child j may be added: max(j, (j / k)^(1 / alpha)).

@@ -13,43 +13,25 @@ from bojax.motions.base import Pose
 
 
 class Samples(eqx.Module):
-    """Observation of a path: the samples taken along it.
+    """Observation of a path: the samples taken along it."""
 
-    Attributes:
-        points: Estimated positions of the samples.
-        values: Measured values.
-        is_taken: Whether the robot reached the sample's pose.
-        pose: Estimated pose of the robot at the end.
-        left: Distance left of the budget, m; None without a budget.
-    """
-
-    points: Float[Array, "S 2"]
-    values: Float[Array, "S"]
-    is_taken: Bool[Array, "S"]
-    pose: Pose
-    left: Float[Array, ""] | None = None
+    points: Float[Array, "S 2"]  # estimated positions of the samples
+    values: Float[Array, "S"]  # measured values
+    is_taken: Bool[Array, "S"]  # whether the robot reached the sample's pose
+    pose: Pose  # estimated pose of the robot at the end
+    left: Float[Array, ""] | None = None  # distance left of the budget, m; None without a budget
 
 
 class FieldBelief(eqx.Module):
-    """The robot's belief.
+    """The robot's belief."""
 
-    Attributes:
-        pose: Estimated pose of the robot.
-        posterior: Gaussian process over the field.
-        step: Number of paths driven.
-        counts: Number of samples held at the start and after each path; 0 for future paths.
-        key: Key from which hyper-parameter learning draws its starting points.
-        num_samples: Largest number of samples per path.
-        left: Distance left of the budget, m; None without a budget.
-    """
-
-    pose: Pose
-    posterior: GaussianProcess
-    step: Int[Array, ""]
-    counts: Int[Array, "N"]
-    key: Key[Array, ""]
-    num_samples: int = eqx.field(static=True)
-    left: Float[Array, ""] | None = None
+    pose: Pose  # estimated pose of the robot
+    posterior: GaussianProcess  # Gaussian process over the field
+    step: Int[Array, ""]  # number of paths driven
+    counts: Int[Array, "N"]  # number of samples held at the start and after each path; 0 for future paths
+    key: Key[Array, ""]  # key from which hyper-parameter learning draws its starting points
+    num_samples: int = eqx.field(static=True)  # largest number of samples per path
+    left: Float[Array, ""] | None = None  # distance left of the budget, m; None without a budget
 
     def after(
         self, posterior: GaussianProcess, pose: Pose | Numbers, left: Float[Array, ""] | None = None

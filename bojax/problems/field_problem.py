@@ -51,21 +51,14 @@ RELEARN_STARTS = 2  # number of starts of hyper-parameter learning: the current 
 
 
 class FieldWorld(eqx.Module):
-    """True state of an episode.
+    """True state of an episode."""
 
-    Attributes:
-        vehicle: State of the vehicle.
-        collisions: Number of collisions with a wall.
-        gradient: Sum of the norm of the true field's gradient over the samples taken.
-        distance: Distance driven along the poses of the paths, m; None if it is not a column.
-        left: Distance left of the budget, m; None without a budget.
-    """
-
-    vehicle: VehicleState
-    collisions: Int[Array, ""]
-    gradient: Float[Array, ""]
+    vehicle: VehicleState  # state of the vehicle
+    collisions: Int[Array, ""]  # number of collisions with a wall
+    gradient: Float[Array, ""]  # sum of the norm of the true field's gradient over the samples taken
+    # Distance driven along the poses of the paths, m; None if it is not a column
     distance: Float[Array, ""] | None = None
-    left: Float[Array, ""] | None = None
+    left: Float[Array, ""] | None = None  # distance left of the budget, m; None without a budget
 
 
 class FieldProblem(PathProblem):

@@ -15,17 +15,13 @@ from bojax.problems.path_problem import Simulation
 
 
 class FieldNode(eqx.Module):
-    """A belief of the search tree: the samples imagined since the root.
-
-    Attributes:
-        rows: The first row holds the pose of the robot and the number of actions since the root, the others
-            the samples.
-        left: Distance left of the budget, m; None without a budget.
-    """
+    """A belief of the search tree: the samples imagined since the root."""
 
     # One array, since a search writes a node in every iteration, and each array costs a GPU a kernel.
+    # The first row holds the pose of the robot and the number of actions since the root, the others the
+    # samples
     rows: Float[Array, "*N R 4"]
-    left: Float[Array, "*N"] | None = None
+    left: Float[Array, "*N"] | None = None  # distance left of the budget, m; None without a budget
 
     @classmethod
     def of(

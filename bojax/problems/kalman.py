@@ -8,21 +8,13 @@ from bojax.numerics.linalg import full_precision
 
 
 class LinearGaussian(eqx.Module):
-    """A linear model: x' = A x + B a + noise, o = C x' + noise.
+    """A linear model: x' = A x + B a + noise, o = C x' + noise."""
 
-    Attributes:
-        transition: A.
-        control: B.
-        sensor: C.
-        process_covariance: Covariance of the noise of x'.
-        sensor_covariance: Covariance of the noise of o.
-    """
-
-    transition: Float[Array, "D D"]
-    control: Float[Array, "D K"]
-    sensor: Float[Array, "O D"]
-    process_covariance: Float[Array, "D D"]
-    sensor_covariance: Float[Array, "O O"]
+    transition: Float[Array, "D D"]  # A
+    control: Float[Array, "D K"]  # B
+    sensor: Float[Array, "O D"]  # C
+    process_covariance: Float[Array, "D D"]  # covariance of the noise of x'
+    sensor_covariance: Float[Array, "O O"]  # covariance of the noise of o
 
 
 class Gaussian(eqx.Module):

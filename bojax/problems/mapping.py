@@ -81,23 +81,14 @@ PROP_COLUMNS: Table = (
 
 
 class Map(eqx.Module):
-    """The final map on the grid.
+    """The final map on the grid."""
 
-    Attributes:
-        points: Grid points, in metres.
-        mean: Posterior mean, in metres.
-        std: Posterior standard deviation, in metres.
-        error: Error of the mean minus `offset`, in metres.
-        offset: Mean error, in metres.
-        is_open: Whether a point counts; points in walls do not.
-    """
-
-    points: Float[Array, "G 2"]
-    mean: Float[Array, "G"]
-    std: Float[Array, "G"]
-    error: Float[Array, "G"]
-    offset: Float[Array, ""]
-    is_open: Bool[Array, "G"]
+    points: Float[Array, "G 2"]  # grid points, in metres
+    mean: Float[Array, "G"]  # posterior mean, in metres
+    std: Float[Array, "G"]  # posterior standard deviation, in metres
+    error: Float[Array, "G"]  # error of the mean minus `offset`, in metres
+    offset: Float[Array, ""]  # mean error, in metres
+    is_open: Bool[Array, "G"]  # whether a point counts; points in walls do not
 
 
 def final_map(problem: FieldProblem, belief: FieldBelief) -> Map:

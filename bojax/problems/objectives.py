@@ -17,14 +17,11 @@ Gradients: TypeAlias = Float[Array, "S 2"]
 
 
 class FieldObjective(eqx.Module):
-    """The reward of a sample under the belief before the path along which it is taken.
+    """The reward of a sample under the belief before the path along which it is taken."""
 
-    Attributes:
-        needs_gradient: Whether the gradient of the mean is needed; it is computed only then.
-        is_elsewhere: Whether samples are rewarded for what they say about `Places` of the domain.
-    """
-
+    # Whether the gradient of the mean is needed; it is computed only then
     needs_gradient: ClassVar[bool] = False
+    # Whether samples are rewarded for what they say about `Places` of the domain
     is_elsewhere: ClassVar[bool] = False
 
     @abc.abstractmethod

@@ -13,18 +13,12 @@ from bojax.problems.state_model import StateModel
 
 
 class Particles(eqx.Module):
-    """A belief of `M` weighted states.
-
-    Attributes:
-        states: The states.
-        log_weights: Logarithms of the weights, which sum to 1.
-        terminal: Whether a state is terminal.
-        collapses: How often no particle explained an observation; None if it is not counted.
-    """
+    """A belief of `M` weighted states."""
 
     states: Float[Array, "M D"]
-    log_weights: Float[Array, "M"]
-    terminal: Bool[Array, "M"]
+    log_weights: Float[Array, "M"]  # logarithms of the weights, which sum to 1
+    terminal: Bool[Array, "M"]  # whether a state is terminal
+    # How often no particle explained an observation; None if it is not counted
     collapses: Int[Array, ""] | None = None
 
     @property

@@ -76,27 +76,17 @@ def _require_vector(name: str, value: Float[Array, "N"], example: Float[Array, "
 
 
 class _Sample(eqx.Module):
-    """Transitions T of random walks, and several observations N of each.
+    """Transitions T of random walks, and several observations N of each."""
 
-    Attributes:
-        is_used: Whether the walk has not ended before.
-        is_finite: Whether states and rewards are finite, after terminal states too.
-        is_inside: Whether the action is in the action space.
-        observations: The observations.
-        own: Log likelihood of the observations.
-        others: Log likelihood of one observation of each transition, given each other transition.
-        far: Log likelihood of observations far from all others.
-        has_collapsed: Whether no particle explains the first observation of a walk.
-    """
-
-    is_used: Bool[Array, "T"]
-    is_finite: Bool[Array, "T"]
-    is_inside: Bool[Array, "T"]
+    is_used: Bool[Array, "T"]  # whether the walk has not ended before
+    is_finite: Bool[Array, "T"]  # whether states and rewards are finite, after terminal states too
+    is_inside: Bool[Array, "T"]  # whether the action is in the action space
     observations: Float[Array, "T N O"]
-    own: Float[Array, "T N"]
+    own: Float[Array, "T N"]  # log likelihood of the observations
+    # Log likelihood of one observation of each transition, given each other transition
     others: Float[Array, "T T"]
-    far: Float[Array, "T F"]
-    has_collapsed: Bool[Array, "W"]
+    far: Float[Array, "T F"]  # log likelihood of observations far from all others
+    has_collapsed: Bool[Array, "W"]  # whether no particle explains the first observation of a walk
 
 
 def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:

@@ -16,19 +16,13 @@ ROUNDING = 1e-9  # of distances: metres, and share of a distance
 
 
 class Drive(eqx.Module):
-    """The part of a path that was driven.
+    """The part of a path that was driven."""
 
-    Attributes:
-        poses: Poses of the path; past the pose at which the robot was stopped, that pose is repeated.
-        is_driven: Whether the robot reached each pose of the path.
-        collided: Whether a wall or the border of the area stopped the robot.
-        exited: Whether the border stopped the robot.
-    """
-
+    # Poses of the path; past the pose at which the robot was stopped, that pose is repeated
     poses: Float[Array, "S 3"]
-    is_driven: Bool[Array, "S"]
-    collided: Bool[Array, ""]
-    exited: Bool[Array, ""]
+    is_driven: Bool[Array, "S"]  # whether the robot reached each pose of the path
+    collided: Bool[Array, ""]  # whether a wall or the border of the area stopped the robot
+    exited: Bool[Array, ""]  # whether the border stopped the robot
 
     def length_from(self, start: Float[Array, "3"]) -> Float[Array, ""]:
         """Its length from its start, m."""

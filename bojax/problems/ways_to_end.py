@@ -22,24 +22,17 @@ class WaysToEnd(eqx.Module):
     bends, or to the end point, and on from there. A lookup of the first corner makes the distance exact and
     as cheap as a straight line, whatever the obstacles. From a position between two grid points, the first
     leg may cut a corner, or a wall narrower than their distance, and the distance is then off.
-
-    Attributes:
-        corners: Where ways bend, and last the end point, m.
-        chains: Indices of the corners on the way from each, itself first; the end point is repeated.
-        rest: Distance from each corner to the end point along its way, m.
-        first: Index of the first corner for positions around each grid point; the first axis is y.
-        origin: Position of `first[0, 0]`, m.
-        spacing: Distance between two grid points, m.
-        slack: Distance that is reserved for errors of the lookup, m.
     """
 
-    corners: Float[Array, "C 2"]
+    corners: Float[Array, "C 2"]  # where ways bend, and last the end point, m
+    # Indices of the corners on the way from each, itself first; the end point is repeated
     chains: Int[Array, "C L"]
-    rest: Float[Array, "C"]
+    rest: Float[Array, "C"]  # distance from each corner to the end point along its way, m
+    # Index of the first corner for positions around each grid point; the first axis is y
     first: Int[Array, "H W"]
-    origin: Float[Array, "2"]
-    spacing: Float[Array, ""]
-    slack: Float[Array, ""]
+    origin: Float[Array, "2"]  # position of `first[0, 0]`, m
+    spacing: Float[Array, ""]  # distance between two grid points, m
+    slack: Float[Array, ""]  # distance that is reserved for errors of the lookup, m
 
     @classmethod
     def straight(cls, end: Float[Array, "2"]) -> "WaysToEnd":

@@ -8,19 +8,12 @@ from bojax.robots.models import MjModel
 
 @dataclass(frozen=True)
 class CarParameters:
-    """Parameters of the robot that its controller uses.
+    """Parameters of the robot that its controller uses."""
 
-    Attributes:
-        wheelbase: Distance between the axles, in metres.
-        half_track: Half the distance between the steering axes of the front wheels, in metres.
-        max_angle: Largest steering angle of a front wheel, in radians.
-        full_speed: Speed for a drive command of 1, in m/s.
-    """
-
-    wheelbase: float
-    half_track: float
-    max_angle: float
-    full_speed: float
+    wheelbase: float  # distance between the axles, in metres
+    half_track: float  # half the distance between the steering axes of the front wheels, in metres
+    max_angle: float  # largest steering angle of a front wheel, in radians
+    full_speed: float  # speed for a drive command of 1, in m/s
 
     @property
     def turning_radius(self) -> float:

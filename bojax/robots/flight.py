@@ -23,21 +23,14 @@ _LEAST_LENGTH = 1e-6
 
 
 class Airframe(eqx.Module):
-    """Parameters of the robot that the controller uses.
+    """Parameters of the robot that the controller uses."""
 
-    Attributes:
-        mass: Mass in kg.
-        inertia: Principal moments of inertia, in kg m^2.
-        gravity: Gravity in m/s^2.
-        mixer: Rotor thrusts in N for 1 N of total thrust and 1 N m of torque about x, y and z.
-        max_thrust: Largest thrust of a rotor, in N.
-    """
-
-    mass: Float[Array, ""]
-    inertia: Float[Array, "3"]
-    gravity: Float[Array, ""]
+    mass: Float[Array, ""]  # mass in kg
+    inertia: Float[Array, "3"]  # principal moments of inertia, in kg m^2
+    gravity: Float[Array, ""]  # gravity in m/s^2
+    # Rotor thrusts in N for 1 N of total thrust and 1 N m of torque about x, y and z
     mixer: Float[Array, "4 4"]
-    max_thrust: Float[Array, ""]
+    max_thrust: Float[Array, ""]  # largest thrust of a rotor, in N
 
     def thrusts(self, thrust: Float[Array, ""], torque: Float[Array, "3"]) -> Float[Array, "4"]:
         """Rotor thrusts that produce a total thrust and a torque, clipped to the range of the rotors."""
@@ -46,23 +39,14 @@ class Airframe(eqx.Module):
 
 
 class Reference(eqx.Module):
-    """Reference of the controller at one time or at several.
+    """Reference of the controller at one time or at several."""
 
-    Attributes:
-        position: Position in metres.
-        velocity: Velocity in m/s.
-        acceleration: Acceleration in m/s^2.
-        yaw: Heading in rad.
-        yaw_rate: Rate of the heading in rad/s.
-        yaw_acceleration: Angular acceleration of the heading in rad/s^2.
-    """
-
-    position: Float[Array, "*N 3"]
-    velocity: Float[Array, "*N 3"]
-    acceleration: Float[Array, "*N 3"]
-    yaw: Float[Array, "*N"]
-    yaw_rate: Float[Array, "*N"]
-    yaw_acceleration: Float[Array, "*N"]
+    position: Float[Array, "*N 3"]  # position in metres
+    velocity: Float[Array, "*N 3"]  # velocity in m/s
+    acceleration: Float[Array, "*N 3"]  # acceleration in m/s^2
+    yaw: Float[Array, "*N"]  # heading in rad
+    yaw_rate: Float[Array, "*N"]  # rate of the heading in rad/s
+    yaw_acceleration: Float[Array, "*N"]  # angular acceleration of the heading in rad/s^2
 
 
 def control(

@@ -18,14 +18,10 @@ MjModel: TypeAlias = Any
 
 @dataclass(frozen=True)
 class RobotModel:
-    """An MJCF model of a robot and its world, compared and hashed by its text.
+    """An MJCF model of a robot and its world, compared and hashed by its text."""
 
-    Attributes:
-        xml: The MJCF.
-        path: File that the MJCF was read from; included files and meshes are resolved relative to it.
-    """
-
-    xml: str
+    xml: str  # the MJCF
+    # File that the MJCF was read from; included files and meshes are resolved relative to it
     path: str | None = None
 
     def spec(self) -> Any:

@@ -16,21 +16,13 @@ _MOST_POINTS = 32
 
 
 class Rows(NamedTuple):
-    """The constraints; equalities come first, then dry friction, then limits and contacts.
+    """The constraints; equalities come first, then dry friction, then limits and contacts."""
 
-    Attributes:
-        stiffness: D.
-        low: Least derivative of the cost of a row.
-        high: Largest derivative of it.
-        first_friction: Number of the first row of dry friction.
-        first_limit: Number of the first row of a limit or a contact.
-    """
-
-    stiffness: Float[Array, "R"]
-    low: Float[Array, "R"]
-    high: Float[Array, "R"]
-    first_friction: int
-    first_limit: int
+    stiffness: Float[Array, "R"]  # D
+    low: Float[Array, "R"]  # least derivative of the cost of a row
+    high: Float[Array, "R"]  # largest derivative of it
+    first_friction: int  # number of the first row of dry friction
+    first_limit: int  # number of the first row of a limit or a contact
 
     def derivative(self, x: Float[Array, "R"]) -> Float[Array, "R"]:
         """The derivatives of the costs of the rows at x."""
@@ -46,20 +38,13 @@ class Line(NamedTuple):
     """The cost along a line, from its start to the whole step of Newton's method and beyond.
 
     Its derivative at t, first + t second + sum c_i s_i'(x_i + t c_i), is piecewise linear and increases.
-
-    Attributes:
-        rows: The constraints.
-        x: J a - a_ref at the start.
-        change: Its change c in the whole step.
-        first: Derivative of the inertial cost at the start.
-        second: Second derivative of it.
     """
 
-    rows: Rows
-    x: Float[Array, "R"]
-    change: Float[Array, "R"]
-    first: Float[Array, ""]
-    second: Float[Array, ""]
+    rows: Rows  # the constraints
+    x: Float[Array, "R"]  # J a - a_ref at the start
+    change: Float[Array, "R"]  # its change c in the whole step
+    first: Float[Array, ""]  # derivative of the inertial cost at the start
+    second: Float[Array, ""]  # second derivative of it
 
     def slope(self, size: Float[Array, ""]) -> Float[Array, ""]:
         """The derivative at a point of the line."""

@@ -9,17 +9,11 @@ PIECES = 8
 
 
 class Route(eqx.Module):
-    """A densely sampled path, continued along a straight line past its end.
+    """A densely sampled path, continued along a straight line past its end."""
 
-    Attributes:
-        points: Positions in metres, from the start.
-        arc: Arc length of each point, in metres.
-        heading: Heading at the end, in radians.
-    """
-
-    points: Float[Array, "N 2"]
-    arc: Float[Array, "N"]
-    heading: Float[Array, ""]
+    points: Float[Array, "N 2"]  # positions in metres, from the start
+    arc: Float[Array, "N"]  # arc length of each point, in metres
+    heading: Float[Array, ""]  # heading at the end, in radians
 
     @property
     def length(self) -> Float[Array, ""]:

@@ -35,34 +35,21 @@ _INTEGRATORS = {
 
 
 class ConfiguredModel(NamedTuple):
-    """A model and the settings that enter its compiled form: the key of all caches of this module.
+    """A model and the settings that enter its compiled form: the key of all caches of this module."""
 
-    Attributes:
-        model: The robot and its world.
-        iterations: Maximum number of iterations of the solver; None keeps the value of the model, here and
-            below.
-        ls_iterations: Maximum number of iterations of its line search.
-        integrator: Integration scheme.
-    """
-
-    model: RobotModel
+    model: RobotModel  # the robot and its world
+    # Maximum number of iterations of the solver; None keeps the value of the model, here and below
     iterations: int | None = None
-    ls_iterations: int | None = None
-    integrator: str | None = None
+    ls_iterations: int | None = None  # maximum number of iterations of its line search
+    integrator: str | None = None  # integration scheme
 
 
 class RobotState(eqx.Module):
-    """State between steps; MJX's own data are a hundred times as large.
+    """State between steps; MJX's own data are a hundred times as large."""
 
-    Attributes:
-        qpos: Generalised positions in m and rad; quaternions have four components.
-        qvel: Generalised velocities in m/s and rad/s.
-        qacc_warmstart: Initial accelerations of the constraint solver, in m/s^2 and rad/s^2.
-    """
-
-    qpos: Float[Array, "Q"]
-    qvel: Float[Array, "V"]
-    qacc_warmstart: Float[Array, "V"]
+    qpos: Float[Array, "Q"]  # generalised positions in m and rad; quaternions have four components
+    qvel: Float[Array, "V"]  # generalised velocities in m/s and rad/s
+    qacc_warmstart: Float[Array, "V"]  # initial accelerations of the constraint solver, in m/s^2 and rad/s^2
 
 
 class Physics(eqx.Module):
@@ -83,16 +70,11 @@ class Simulator(eqx.Module):
 
     The model is a constant of the compiled program; only the state is carried per lane. A lane that diverges
     does not affect the others.
-
-    Attributes:
-        physics: Settings of the simulation.
-        model: The robot and its world.
-        substeps: Simulation steps per call of `advance`.
     """
 
-    physics: Physics
-    model: RobotModel = eqx.field(static=True)
-    substeps: int = eqx.field(static=True)
+    physics: Physics  # settings of the simulation
+    model: RobotModel = eqx.field(static=True)  # the robot and its world
+    substeps: int = eqx.field(static=True)  # simulation steps per call of `advance`
 
     def __check_init__(self):
         """Compile the model.
@@ -166,13 +148,9 @@ class Simulator(eqx.Module):
 
 
 class Simulated(eqx.Module):
-    """A part of an experiment that contains a simulated robot.
+    """A part of an experiment that contains a simulated robot."""
 
-    Attributes:
-        physics: Settings of the simulation.
-    """
-
-    physics: eqx.AbstractVar[Physics]
+    physics: eqx.AbstractVar[Physics]  # settings of the simulation
 
     @property
     @abc.abstractmethod

@@ -56,15 +56,10 @@ def within_budget(points: Float[Array, "W 2"], ends: Ends, budget: Float[Array, 
 
 
 class Models(eqx.Module):
-    """Plausible beliefs about the field: one Gaussian process on several linear maps of the plane.
+    """Plausible beliefs about the field: one Gaussian process on several linear maps of the plane."""
 
-    Attributes:
-        maps: Linear maps A; the kernel of each belief is k(A x, A y).
-        errors: The beliefs at the mapped grid, stacked.
-    """
-
-    maps: Float[Array, "Q 2 2"]
-    errors: PointErrors
+    maps: Float[Array, "Q 2 2"]  # linear maps A; the kernel of each belief is k(A x, A y)
+    errors: PointErrors  # the beliefs at the mapped grid, stacked
 
     @classmethod
     def of(
@@ -114,18 +109,12 @@ class Models(eqx.Module):
 
 
 class Limits(eqx.Module):
-    """Limits of a route, as penalties.
+    """Limits of a route, as penalties."""
 
-    Attributes:
-        distance: Signed distance to the border of the area, m, negative outside; None without a border.
-        clearance: Distance that the route keeps from the border, m.
-        turning_radius: Least radius of its turns, m; None for any.
-        separation: Least distance between two robots that have driven equally far, m; 0 for any.
-    """
-
-    distance: PyTree
-    clearance: Float[Array, ""]
-    turning_radius: Float[Array, ""] | None
+    distance: PyTree  # signed distance to the border of the area, m, negative outside; None without a border
+    clearance: Float[Array, ""]  # distance that the route keeps from the border, m
+    turning_radius: Float[Array, ""] | None  # least radius of its turns, m; None for any
+    # Least distance between two robots that have driven equally far, m; 0 for any
     separation: Float[Array, ""]
 
     def penalty(self, routes: Float[Array, "K W 2"], step: Float[Array, ""], number: int) -> Scalar:

@@ -38,16 +38,11 @@ class Goal:
     - `threshold`: the straddle of Bryan et al. (2005), 1.96 s - |m - threshold| with the mean m and the
       standard deviation s, or 0 where it is negative.
     - `region`: only places in a region count.
-
-    Attributes:
-        kind: One of these names.
-        threshold: Value to find, in the units of the field; NaN without one.
-        region: Part of the area that counts; None for the whole area.
     """
 
-    kind: Kind = "map"
-    threshold: float = math.nan
-    region: "Area | None" = None
+    kind: Kind = "map"  # one of these names
+    threshold: float = math.nan  # value to find, in the units of the field; NaN without one
+    region: "Area | None" = None  # part of the area that counts; None for the whole area
 
     @property
     def needs_values(self) -> bool:

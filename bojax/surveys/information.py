@@ -61,21 +61,13 @@ def samples_of_all(
 
 
 class PointErrors(eqx.Module):
-    """The belief about a set of points, prepared for many routes.
+    """The belief about a set of points, prepared for many routes."""
 
-    Attributes:
-        posterior: The belief given the data.
-        grid: Points at which the error counts, m.
-        weights: Their weights, which sum to 1.
-        whitened: L^-1 k(X, grid).
-        variance: Posterior variances at the grid.
-    """
-
-    posterior: GaussianProcess
-    grid: Float[Array, "M 2"]
-    weights: Float[Array, "M"]
-    whitened: Float[Array, "N M"]
-    variance: Float[Array, "M"]
+    posterior: GaussianProcess  # the belief given the data
+    grid: Float[Array, "M 2"]  # points at which the error counts, m
+    weights: Float[Array, "M"]  # their weights, which sum to 1
+    whitened: Float[Array, "N M"]  # L^-1 k(X, grid)
+    variance: Float[Array, "M"]  # posterior variances at the grid
 
     @classmethod
     def of(

@@ -33,17 +33,11 @@ MOST_LINES = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A connected area, prepared for many routes.
+    """A connected area, prepared for many routes."""
 
-    Attributes:
-        shape: Its polygon.
-        transfers: Shortest paths in it.
-        turning_radius: Least radius of the turns of routes in it, m; 0 for turns on the spot.
-    """
-
-    shape: "BaseGeometry"
-    transfers: Transfers
-    turning_radius: float = 0.0
+    shape: "BaseGeometry"  # its polygon
+    transfers: Transfers  # shortest paths in it
+    turning_radius: float = 0.0  # least radius of the turns of routes in it, m; 0 for turns on the spot
 
     @classmethod
     def of(cls, area: Area, near: np.ndarray | None = None, turning_radius: float = 0.0) -> "Ground":

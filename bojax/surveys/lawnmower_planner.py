@@ -40,16 +40,12 @@ class Lawnmower(RouteFollower):
     with the start, or else the one with the end or the largest.
 
     Settings: `bojax.surveys.settings.Lawnmower`.
-
-    Attributes:
-        spacing: Largest distance between two lines, m; None for lines as long as what can be driven.
-        direction: Direction of the lines, rad; None for the best one of several.
-        approach: Ways to the first waypoint; None if the route begins at the start.
     """
 
+    # Largest distance between two lines, m; None for lines as long as what can be driven
     spacing: Float[Array, ""] | None
-    direction: Float[Array, ""] | None
-    approach: WaysToEnd | None
+    direction: Float[Array, ""] | None  # direction of the lines, rad; None for the best one of several
+    approach: WaysToEnd | None  # ways to the first waypoint; None if the route begins at the start
 
     def __init__(
         self,

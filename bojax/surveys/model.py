@@ -35,27 +35,17 @@ NOISE = 0.1  # standard deviation of the noise of a measurement, as a share of t
 
 @dataclass(frozen=True)
 class FieldModel:
-    """A stationary model of a field: a Matern kernel of smoothness 5/2, and noise.
+    """A stationary model of a field: a Matern kernel of smoothness 5/2, and noise."""
 
-    Attributes:
-        lengthscale: Distance over which values are alike, m.
-        std: Standard deviation of the field around its mean.
-        noise: Standard deviation of the noise of a measurement.
-        source: Where the numbers come from, for the report.
-        mean: Mean of the field.
-        seen: Points `[N, 2]`, m, and values `[N]` of the earlier survey; None without one.
-        notes: What a user should know of the earlier survey, a sentence each.
-        read: Its values, to be drawn.
-    """
-
-    lengthscale: float
-    std: float
-    noise: float
-    source: str
-    mean: float = 0.0
+    lengthscale: float  # distance over which values are alike, m
+    std: float  # standard deviation of the field around its mean
+    noise: float  # standard deviation of the noise of a measurement
+    source: str  # where the numbers come from, for the report
+    mean: float = 0.0  # mean of the field
+    # Points `[N, 2]`, m, and values `[N]` of the earlier survey; None without one
     seen: tuple[np.ndarray, np.ndarray] | None = None
-    notes: tuple[str, ...] = ()
-    read: Values | None = None
+    notes: tuple[str, ...] = ()  # what a user should know of the earlier survey, a sentence each
+    read: Values | None = None  # its values, to be drawn
 
     def belief(self) -> GaussianProcess:
         """The belief about the field before the survey; inputs are in metres."""

@@ -39,22 +39,15 @@ LONGEST = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A route, and the error that it is expected to leave.
+    """A route, and the error that it is expected to leave."""
 
-    Attributes:
-        method: `lawnmower` or `route`.
-        detail: What distinguishes it from others of its method.
-        routes: Waypoints `[W, 2]` of each robot, m.
-        distances: Distances from the start, which all robots drive at once, m; 0 first.
-        errors: Mean standard deviation, weighted by the goal, after the measurements up to each distance.
-        left_out: Of a lawnmower, the largest share of a robot's waypoints that turns leave no room for.
-    """
-
-    method: str
-    detail: str
-    routes: tuple[np.ndarray, ...]
-    distances: np.ndarray
+    method: str  # `lawnmower` or `route`
+    detail: str  # what distinguishes it from others of its method
+    routes: tuple[np.ndarray, ...]  # waypoints `[W, 2]` of each robot, m
+    distances: np.ndarray  # distances from the start, which all robots drive at once, m; 0 first
+    # Mean standard deviation, weighted by the goal, after the measurements up to each distance
     errors: np.ndarray
+    # Of a lawnmower, the largest share of a robot's waypoints that turns leave no room for
     left_out: float = 0.0
 
     @property
@@ -75,30 +68,21 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Demand:
-    """What is asked of a route.
+    """What is asked of a route."""
 
-    Attributes:
-        budget: Maximum length of each route, m; None to cover the area with lines at `spacing`.
-        start: First point, m, of all robots `[2]` or of each `[K, 2]`; free if None.
-        end: Last point, m, of all robots or of each; free if None.
-        spacing: Least distance between two lines, m; None for none with a budget, and for the lengthscale of
-            the model without.
-        sampling: Distance between two measurements, m; None for a fifth of the lengthscale.
-        goal: What the survey is for.
-        robots: Number of robots.
-        separation: Least distance of two robots that have driven equally far, m, as of `plan_routes`.
-        turning_radius: Least radius of turns, m; 0 for turns on the spot.
-    """
-
+    # Maximum length of each route, m; None to cover the area with lines at `spacing`
     budget: float | None = None
-    start: np.ndarray | None = None
-    end: np.ndarray | None = None
+    start: np.ndarray | None = None  # first point, m, of all robots `[2]` or of each `[K, 2]`; free if None
+    end: np.ndarray | None = None  # last point, m, of all robots or of each; free if None
+    # Least distance between two lines, m; None for none with a budget, and for the lengthscale of the model
+    # without
     spacing: float | None = None
-    sampling: float | None = None
-    goal: Goal = field(default_factory=Goal)
-    robots: int = 1
+    sampling: float | None = None  # distance between two measurements, m; None for a fifth of the lengthscale
+    goal: Goal = field(default_factory=Goal)  # what the survey is for
+    robots: int = 1  # number of robots
+    # Least distance of two robots that have driven equally far, m, as of `plan_routes`
     separation: float = 0.0
-    turning_radius: float = 0.0
+    turning_radius: float = 0.0  # least radius of turns, m; 0 for turns on the spot
 
     @property
     def starts(self) -> list[np.ndarray | None]:
@@ -113,29 +97,17 @@ class Demand:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """A planned survey.
+    """A planned survey."""
 
-    Attributes:
-        candidates: All routes, the one that leaves the least error first.
-        grid: Points at which the error counts, `[M, 2]`, m.
-        grid_spacing: Distance between two of them, m.
-        weights: Their weights in the error.
-        before: Standard deviation at each before the survey.
-        after: The same after the first candidate.
-        sampling: Distance between two measurements, m.
-        lines: Distance between two lines, m, if there is no budget.
-        share: Share of the area that is surveyed: the part with the start, or else the largest part.
-    """
-
-    candidates: tuple[Candidate, ...]
-    grid: np.ndarray
-    grid_spacing: float
-    weights: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    sampling: float
-    lines: float | None
-    share: float
+    candidates: tuple[Candidate, ...]  # all routes, the one that leaves the least error first
+    grid: np.ndarray  # points at which the error counts, `[M, 2]`, m
+    grid_spacing: float  # distance between two of them, m
+    weights: np.ndarray  # their weights in the error
+    before: np.ndarray  # standard deviation at each before the survey
+    after: np.ndarray  # the same after the first candidate
+    sampling: float  # distance between two measurements, m
+    lines: float | None  # distance between two lines, m, if there is no budget
+    share: float  # share of the area that is surveyed: the part with the start, or else the largest part
 
     @property
     def chosen(self) -> Candidate:

@@ -10,21 +10,13 @@ from bojax.surveys.route import Route
 
 @dataclasses.dataclass
 class Robot:
-    """What a mission knows of a robot.
+    """What a mission knows of a robot."""
 
-    Attributes:
-        position: Where it is, m.
-        remaining: Distance left, m.
-        end: Its last position, m; None for anywhere.
-        route: Its last plan.
-        time: Latest time of its measurements.
-    """
-
-    position: Waypoints
-    remaining: float
-    end: Waypoints | None = None
-    route: Route | None = None
-    time: float = -np.inf
+    position: Waypoints  # where it is, m
+    remaining: float  # distance left, m
+    end: Waypoints | None = None  # its last position, m; None for anywhere
+    route: Route | None = None  # its last plan
+    time: float = -np.inf  # latest time of its measurements
 
     def drive(self, points: Waypoints, pose: Waypoints | None) -> None:
         """Go along points `[N, 2]` to a pose, if there is one, and take the length from what is left."""

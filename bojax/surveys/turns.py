@@ -31,15 +31,10 @@ def least_radius(route: Waypoints) -> float:
 
 
 class Turned(NamedTuple):
-    """A route with turns of at least a radius.
+    """A route with turns of at least a radius."""
 
-    Attributes:
-        route: Waypoints `[W, 2]`, m.
-        left_out: Share of the waypoints that were removed, since they left too little room for turns.
-    """
-
-    route: Waypoints
-    left_out: float
+    route: Waypoints  # waypoints `[W, 2]`, m
+    left_out: float  # share of the waypoints that were removed, since they left too little room for turns
 
 
 def drivable(route: Waypoints, radius: float) -> Waypoints | None:

@@ -142,17 +142,11 @@ class MultiverseFile(Schema, frozen=True):
 
 @dataclass(frozen=True)
 class Declaration:
-    """A multiverse analysis, read from its file and checked.
+    """A multiverse analysis, read from its file and checked."""
 
-    Attributes:
-        name: Name of the file without its suffix.
-        file: Its content.
-        path: The file.
-    """
-
-    name: str
-    file: MultiverseFile
-    path: Path
+    name: str  # name of the file without its suffix
+    file: MultiverseFile  # its content
+    path: Path  # the file
 
     @cached_property
     def configurations(self) -> list[tuple[int, ...]]:

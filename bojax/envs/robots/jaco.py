@@ -24,15 +24,10 @@ _REACH = (-1.0, -1.0, -0.7), (1.0, 1.0, 1.3)
 
 
 class JacoState(eqx.Module):
-    """State of the arm and position of the target.
+    """State of the arm and position of the target."""
 
-    Attributes:
-        robot: State of the arm.
-        target: Target position of the fingertips relative to the base of the arm, in metres.
-    """
-
-    robot: RobotState
-    target: Float[Array, "3"]
+    robot: RobotState  # state of the arm
+    target: Float[Array, "3"]  # target position of the fingertips relative to the base of the arm, in metres
 
 
 class Jaco(RobotTask):
@@ -58,9 +53,6 @@ class Jaco(RobotTask):
     the episode.
 
     Settings: `bojax.envs.robots.settings.Jaco`.
-
-    Attributes:
-        target: Target of all episodes, see `of_run`; None for a new target in each episode.
     """
 
     goal_distance: Float[Array, ""]
@@ -68,6 +60,7 @@ class Jaco(RobotTask):
     joints: tuple[int, ...] = eqx.field(static=True)
     targets: Literal["per-run", "per-episode"] = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+    # Target of all episodes, see `of_run`; None for a new target in each episode
     target: Float[Array, "3"] | None = None
 
     @override

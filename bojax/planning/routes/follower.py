@@ -21,16 +21,11 @@ class RouteFollower(Planner):
     a waypoint is at the waypoint. Beyond the end of the route, the robot stays there.
 
     Settings: `bojax.planning.routes.settings.Route`.
-
-    Attributes:
-        waypoints: The route, m.
-        length: Length of a piece, m.
-        size: Number of poses of a piece.
     """
 
-    waypoints: Float[Array, "W 2"]
-    length: Float[Array, ""]
-    size: int = eqx.field(static=True)
+    waypoints: Float[Array, "W 2"]  # the route, m
+    length: Float[Array, ""]  # length of a piece, m
+    size: int = eqx.field(static=True)  # number of poses of a piece
 
     def __init__(self, file: str, length: Float[Array, ""], num_samples: int = 10, sha256: str | None = None):
         """Read the route from a file; `sha256` is checked with the settings.

@@ -11,23 +11,14 @@ from bojax.problems.pomdp.readings import Reading
 
 
 class Beams(Reading):
-    """Independent Gaussian readings: one distribution for the target's beam, one for all others.
+    """Independent Gaussian readings: one distribution for the target's beam, one for all others."""
 
-    Attributes:
-        index: The target's beam.
-        mean: Mean of its reading.
-        noise: Standard deviation of its reading.
-        other_mean: Mean of any other reading.
-        other_noise: Standard deviation of any other reading.
-        num: Number of beams.
-    """
-
-    index: Int[Array, ""]
-    mean: Float[Array, ""]
-    noise: Float[Array, ""]
-    other_mean: Float[Array, ""]
-    other_noise: Float[Array, ""]
-    num: int = eqx.field(static=True)
+    index: Int[Array, ""]  # the target's beam
+    mean: Float[Array, ""]  # mean of its reading
+    noise: Float[Array, ""]  # standard deviation of its reading
+    other_mean: Float[Array, ""]  # mean of any other reading
+    other_noise: Float[Array, ""]  # standard deviation of any other reading
+    num: int = eqx.field(static=True)  # number of beams
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:

@@ -25,10 +25,6 @@ class LightDark(ReadingProblem):
     The standard deviation of an observation grows with the distance of the new position from the light.
 
     Settings: `bojax.problems.pomdp.settings.LightDark`.
-
-    Attributes:
-        action_values: Optimal value of each action at each integer from -radius, with states observed;
-            None to compute it.
     """
 
     moves: Float[Array, "A"]
@@ -44,6 +40,7 @@ class LightDark(ReadingProblem):
     belief_update: Literal["bootstrap", "published"] = eqx.field(
         static=True, default="bootstrap", kw_only=True
     )
+    # Optimal value of each action at each integer from -radius, with states observed; None to compute it
     action_values: Float[Array, "S A"] | None = None
 
     def __post_init__(self) -> None:

@@ -25,15 +25,10 @@ class Reading(eqx.Module):
 
 
 class GaussianReading(Reading):
-    """Independent Gaussian numbers.
-
-    Attributes:
-        mean: Means.
-        noise: Standard deviations, or one for all.
-    """
+    """Independent Gaussian numbers."""
 
     mean: Float[Array, "O"]
-    noise: Float[Array, "*O"]
+    noise: Float[Array, "*O"]  # standard deviations, or one for all
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
@@ -45,15 +40,10 @@ class GaussianReading(Reading):
 
 
 class BinaryReading(Reading):
-    """Independent answers, 0 or 1, each of which is right with the same probability.
+    """Independent answers, 0 or 1, each of which is right with the same probability."""
 
-    Attributes:
-        truth: The right answers.
-        accuracy: Probability that an answer is right.
-    """
-
-    truth: Float[Array, "O"]
-    accuracy: Float[Array, ""]
+    truth: Float[Array, "O"]  # the right answers
+    accuracy: Float[Array, ""]  # probability that an answer is right
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:

@@ -35,9 +35,6 @@ class SubHunt(ReadingProblem):
     makes the target aware, or to engage (5). A kill ends the episode, as does the target at its edge.
 
     Settings: `bojax.problems.pomdp.settings.SubHunt`.
-
-    Attributes:
-        action_values: Optimal value of each action at each state, with states observed; None to compute it.
     """
 
     straight_probability: Float[Array, ""]
@@ -53,6 +50,7 @@ class SubHunt(ReadingProblem):
     speed: int = eqx.field(static=True)
     num_beams: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+    # Optimal value of each action at each state, with states observed; None to compute it
     action_values: Float[Array, "X Y X Y 4 2 6"] | None = None
 
     def __post_init__(self) -> None:

@@ -10,24 +10,17 @@ class Rules(NamedTuple):
     """Sub Hunt as tables over `P` positions, which are numbered from 0.
 
     The last two of `A` actions are to ping, which makes the target aware, and to engage.
-
-    Attributes:
-        own: Own position after each action.
-        targets: Positions that the target may move to, for each of its directions.
-        probabilities: Their probabilities.
-        lines: For each direction, the positions at 0, 1, ... cells from the edge that ends the target's way.
-        kill: Probability that engaging kills a target that is not aware, and one that is.
-        kill_reward: Reward of a kill.
-        discount: Discount of the reward per step.
     """
 
-    own: Int[np.ndarray, "P A"]
-    targets: Int[np.ndarray, "P 4 T"]
+    own: Int[np.ndarray, "P A"]  # own position after each action
+    targets: Int[np.ndarray, "P 4 T"]  # positions that the target may move to, for each of its directions
     probabilities: Float[np.ndarray, "T"]
+    # For each direction, the positions at 0, 1, ... cells from the edge that ends the target's way
     lines: Int[np.ndarray, "4 K L"]
+    # Probability that engaging kills a target that is not aware, and one that is
     kill: Float[np.ndarray, "P P 2"]
-    kill_reward: float
-    discount: float
+    kill_reward: float  # reward of a kill
+    discount: float  # discount of the reward per step
 
 
 _last: dict[tuple[bytes, ...], Float[np.ndarray, "P P 4 2 A"]] = {}

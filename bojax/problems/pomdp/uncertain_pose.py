@@ -30,14 +30,10 @@ class UncertainPose(StateProblem):
     on the poses at which an episode can be; the planners of paths take that measurement for the pose itself.
 
     Settings: `bojax.problems.pomdp.settings.UncertainPose`.
-
-    Attributes:
-        problem: The pose problem; its vehicle follows paths exactly.
-        motions: Family of paths.
     """
 
-    problem: PoseProblem
-    motions: ContinuousMotions
+    problem: PoseProblem  # the pose problem; its vehicle follows paths exactly
+    motions: ContinuousMotions  # family of paths
     discount: Float[Array, ""]
     max_steps: int = eqx.field(static=True, init=False)
 

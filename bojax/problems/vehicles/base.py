@@ -17,25 +17,16 @@ VehicleState = Any
 
 
 class TrackingResult(eqx.Module):
-    """Result of tracking a path.
+    """Result of tracking a path."""
 
-    Attributes:
-        state: State of the vehicle afterwards.
-        poses: True pose of the vehicle at each pose of the path, in the world frame.
-        estimates: The vehicle's own estimates of these poses.
-        sensor_poses: Position in metres and orientation (w, x, y, z) of its sensor at these poses; None on
-            the ground.
-        frames: Generalised positions during the motion, for an animation; None if there is nothing to
-            animate.
-        failed: Whether the simulation has diverged; None if it cannot diverge.
-    """
-
-    state: VehicleState
-    poses: Float[Array, "S 3"]
-    estimates: Float[Array, "S 3"]
+    state: VehicleState  # state of the vehicle afterwards
+    poses: Float[Array, "S 3"]  # true pose of the vehicle at each pose of the path, in the world frame
+    estimates: Float[Array, "S 3"]  # the vehicle's own estimates of these poses
+    # Position in metres and orientation (w, x, y, z) of its sensor at these poses; None on the ground
     sensor_poses: Float[Array, "S 7"] | None = None
+    # Generalised positions during the motion, for an animation; None if there is nothing to animate
     frames: Float[Array, "F Q"] | None = None
-    failed: Bool[Array, ""] | None = None
+    failed: Bool[Array, ""] | None = None  # whether the simulation has diverged; None if it cannot diverge
 
 
 class Vehicle(eqx.Module):

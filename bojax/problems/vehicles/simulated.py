@@ -13,15 +13,10 @@ from bojax.robots.simulator import RobotState, Simulated
 
 
 class SimulatedState(eqx.Module):
-    """State of a simulated vehicle between two paths.
+    """State of a simulated vehicle between two paths."""
 
-    Attributes:
-        robot: State of the simulation.
-        reading: Last measurement of the pose.
-    """
-
-    robot: RobotState
-    reading: Pose
+    robot: RobotState  # state of the simulation
+    reading: Pose  # last measurement of the pose
 
 
 class SimulatedVehicle(Simulated, Vehicle):

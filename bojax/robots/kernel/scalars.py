@@ -30,20 +30,12 @@ class NotScalar(Exception):
 
 @dataclasses.dataclass(eq=False)
 class Scalar:
-    """A scalar computed by the program; known numbers are scalars of NumPy instead.
+    """A scalar computed by the program; known numbers are scalars of NumPy instead."""
 
-    Attributes:
-        number: Greater than those of the operands.
-        level: Number of loops around the scalar; invariants of a loop are outside of it.
-        operands: What it is computed from: scalars and known scalars.
-        compute: The operation, given the values of the operands; None for an input.
-        dtype: Its dtype.
-    """
-
-    number: int
-    level: int
-    operands: Sequence[Any]
-    compute: Callable[..., Any] | None
+    number: int  # greater than those of the operands
+    level: int  # number of loops around the scalar; invariants of a loop are outside of it
+    operands: Sequence[Any]  # what it is computed from: scalars and known scalars
+    compute: Callable[..., Any] | None  # the operation, given the values of the operands; None for an input
     dtype: np.dtype
 
 

@@ -39,19 +39,12 @@ WALLS = ((2.0, 0.0, 2.4, 7.0), (4.6, 3.0, 5.0, 10.0), (7.2, 0.0, 7.6, 4.0), (7.2
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A field to map.
-
-    Attributes:
-        name: Its name.
-        area: Where it has data.
-        value: Values at points `[N, 2]`.
-        is_real: Whether it was measured.
-    """
+    """A field to map."""
 
     name: str
-    area: Area
-    value: Callable[[np.ndarray], np.ndarray]
-    is_real: bool = False
+    area: Area  # where it has data
+    value: Callable[[np.ndarray], np.ndarray]  # values at points `[N, 2]`
+    is_real: bool = False  # whether it was measured
 
     @property
     def place(self) -> str:
