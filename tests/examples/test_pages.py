@@ -89,7 +89,7 @@ def understand(words, monkeypatch, capsys, folder):
         monkeypatch.setattr(f"bojax.cli.{runs_elsewhere}.main", lambda *_: 0)
     for function in ("running.run", "reproducing.run", "multiverse.run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
-    monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, **_: out)
+    monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, *_: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
     monkeypatch.setattr("bojax.cli.tuning.search", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.survey.plan", lambda *_: 0)
