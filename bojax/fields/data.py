@@ -50,7 +50,7 @@ class Points:
     @property
     def crs(self) -> str | None:
         """Coordinate reference system: degrees if a column is a longitude by its name; None if unknown."""
-        return DEGREES if self.names and self.names[0].startswith("lon") else None
+        return DEGREES if self.names and self.names[0].lower().startswith("lon") else None
 
     def check_degrees(self) -> None:
         """Refuse positions that cannot be longitudes and latitudes.
@@ -117,8 +117,9 @@ def read_waypoints(file: str) -> "np.ndarray":
     """
     table, names = _read_table(file)
     table = _checked(table, file, allows_holes=False)
-    if {"x", "y"} <= set(names):
-        table = table[:, [names.index("x"), names.index("y")]]
+    lowered = [name.lower() for name in names]
+    if {"x", "y"} <= set(lowered):
+        table = table[:, [lowered.index("x"), lowered.index("y")]]
     if table.shape[1] != 2 or len(table) < 2:
         shape = f"{table.shape[0]} rows and {table.shape[1]} columns"
         raise ValueError(f"{file}: got {shape}; allowed: columns x and y, and at least 2 rows")
@@ -134,7 +135,8 @@ def _columns(table: "np.ndarray", names: list[str], chosen: str, file: str) -> l
     """The columns of x, y and value: by their names, or the only three."""
     if chosen and not names:
         raise ValueError(f"{file}: got column {chosen}, but the columns have no names; allowed: {file}")
-    x, y = (next((names.index(n) for n in known if n in names), None) for known in (X_NAMES, Y_NAMES))
+    lowered = [name.lower() for name in names]
+    x, y = (next((lowered.index(n) for n in known if n in lowered), None) for known in (X_NAMES, Y_NAMES))
     if x is None or y is None:
         if len(table.T) == 3 and not chosen:
             return [0, 1, 2]
@@ -145,9 +147,9 @@ def _columns(table: "np.ndarray", names: list[str], chosen: str, file: str) -> l
     rest = [column for column in range(len(names)) if column not in (x, y)]
     rest = [column for column in rest if (table[:, column] == table[:, column]).any()] or rest
     if chosen:
-        values = [column for column in rest if names[column] == chosen.lower()]
+        values = [column for column in rest if lowered[column] == chosen.lower()]
     else:
-        values = [column for column in rest if names[column] in VALUE_NAMES] or rest
+        values = [column for column in rest if lowered[column] in VALUE_NAMES] or rest
     if len(values) == 1:
         return [x, y, values[0]]
     if not rest:

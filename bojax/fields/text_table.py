@@ -27,7 +27,7 @@ def parse_table(text: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
     delimiter = _delimiter(lines[0]) if lines else None
     names: list[str] = []
     if lines and not _is_numbers(_cells(lines[0], delimiter)):
-        names = [cell.strip('"').lower() for cell in _cells(lines[0], delimiter)]
+        names = [cell.strip('"') for cell in _cells(lines[0], delimiter)]
         lines = lines[1:]
     if not lines:
         raise ValueError("holds no numbers")

@@ -185,7 +185,7 @@ def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path, monkeypatch):
         np.testing.assert_allclose(arrays["read_1"], rows)
     text = (out / "report.html").read_text()
     assert "What was read from a.asc" in text and "What was read from prior.csv" in text
-    assert labels[1:] == ["value", "salt (psu)"]
+    assert labels[1:] == ["value", "Salt (PSU)"]
 
 
 def test_without_an_earlier_survey_hot_spots_are_everywhere(tmp_path, capsys):

@@ -122,15 +122,18 @@ SAMPLES = """time,station,x,y,Temp,salinity,ns
 
 def test_a_column_of_values_is_chosen_by_its_name(tmp_path):
     path = written(tmp_path, "a.csv", SAMPLES)
-    for name, values in (("salinity", [[1, 2, 3.5], [4, 5, 30]]), ("TEMP", [[1, 2, 0.5], [7, 8, 0.7]])):
+    for name, column, values in (
+        ("salinity", "salinity", [[1, 2, 3.5], [4, 5, 30]]),
+        ("TEMP", "Temp", [[1, 2, 0.5], [7, 8, 0.7]]),
+    ):
         points = read_points(f"{path}:{name}")
         np.testing.assert_array_equal(points.rows, values)
-        assert points.names == ["x", "y", name.lower()] and points.left_out == 1
+        assert points.names == ["x", "y", column] and points.left_out == 1
     for name, message in (
-        ("", "a.csv: holds several columns of values; allowed: .*a.csv:NAME with one of temp, salinity, ns$"),
-        (":depth", "a.csv: got column depth; allowed: temp, salinity, ns$"),
-        (":station", "a.csv: got column station; allowed: temp, salinity, ns$"),
-        (":x", "a.csv: got column x; allowed: temp, salinity, ns$"),
+        ("", "a.csv: holds several columns of values; allowed: .*a.csv:NAME with one of Temp, salinity, ns$"),
+        (":depth", "a.csv: got column depth; allowed: Temp, salinity, ns$"),
+        (":station", "a.csv: got column station; allowed: Temp, salinity, ns$"),
+        (":x", "a.csv: got column x; allowed: Temp, salinity, ns$"),
     ):
         with one_line(ValueError, message):
             read_points(path + name)
