@@ -84,19 +84,26 @@ def _files(folder: str, prefix: str = "") -> dict[str, os.DirEntry[str]]:
     found: dict[str, os.DirEntry[str]] = {}
     with contextlib.suppress(OSError):
         now, changed = time.time_ns(), os.stat(folder).st_mtime_ns
-        files, folders = _listed(folder, prefix, changed if abs(now - changed) > _CLOCK_NS else now)
+        last = _last.get(folder)
+        if last is None or last[0] != changed:
+            last = changed, *_listed(folder, prefix)
+            if abs(now - changed) > _CLOCK_NS:
+                _last[folder] = last
+        _, files, folders = last
         found |= files
         for each in folders:
             found |= _files(each.path, f"{prefix}{each.name}/")
     return found
 
 
-@functools.lru_cache(64)
-def _listed(
-    folder: str, prefix: str, changed: int
-) -> tuple[dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]:
-    """XLA's files in a folder as of its last change, and the folders in it."""
-    del changed  # for the cache
+_Listing = tuple[dict[str, os.DirEntry[str]], list[os.DirEntry[str]]]
+"""XLA's files in a folder by their paths, and the folders in it."""
+
+_last: dict[str, tuple[int, *_Listing]] = {}
+"""The time of the last change of each folder, and its listing. No earlier one is kept: it may be long."""
+
+
+def _listed(folder: str, prefix: str) -> _Listing:
     files, folders = {}, []
     with os.scandir(folder) as entries:
         for entry in entries:
