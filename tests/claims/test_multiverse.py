@@ -237,6 +237,14 @@ def test_the_best_configuration_has_most_claims_and_is_then_nearest_to_the_print
     assert outcomes.best_of(universe(first, second, variant)) == 2  # only claims count
 
 
+def test_variants_in_a_file_of_an_earlier_version_end_where_it_goes_on():
+    made = universe(claim("a", "rrr"), claim("b", "nnn", entry_class="variant"))
+    entry = {"test": {}, "interval": None, "ours": None, "verdict": "not reproduced"}
+    begun = made.model_copy(update={"done": [0, 1, 2]})
+    found = outcomes.extended(begun, {3: [(claim("a", "r"), "own", entry)]})
+    assert [(each.id, each.verdicts) for each in found.claims] == [("a", "rrrn")]
+
+
 def test_strength_and_the_effect_of_each_choice():
     claims = [claim("a", "rrrr"), claim("b", "nnnr"), claim("c", "nnnn"), claim("d", "iiix")]
     assert [each.strength for each in claims] == ["robust", "fragile", "contrary", "fragile"]

@@ -219,10 +219,11 @@ def extended(
     multiverse: Multiverse, found: Mapping[int, Iterable[tuple[Claim, str, dict[str, Any]]]]
 ) -> Multiverse:
     """The outcomes with those of further configurations."""
-    by_id = {claim.id: claim for claim in multiverse.claims}
+    # Files of earlier versions have variants and checks, which further configurations do not test.
+    by_id = {claim.id: claim for claim in multiverse.counted}
     order = sorted({*multiverse.done, *found})
     rows: dict[str, dict[int, Row]] = {}
-    for claim in multiverse.claims:
+    for claim in multiverse.counted:
         numbers = zip(claim.estimates, claim.low, claim.high, claim.ours, strict=True)
         entries = zip(claim.verdicts, map(list, numbers), strict=True)
         rows[claim.id] = dict(zip(multiverse.done, entries, strict=True))
