@@ -126,6 +126,7 @@ class Mission:
         apart = numbers("separation", separation, ">= 0")
         if apart.ndim or not (np.isfinite(apart) and apart >= 0):
             raise ValueError(f"separation: got {separation}; allowed: >= 0")
+        separation = float(apart)
         if not (isinstance(seed, int | np.integer) and seed >= 0):
             raise ValueError(f"seed: got {seed}; allowed: an integer >= 0")
         if not (options is None or isinstance(options, RouteOptions)):
@@ -137,7 +138,7 @@ class Mission:
         if budget > (most := MOST_LINES * self._size):
             longest = f"{most:g} m, that of {MOST_LINES:,} lines across the area"
             raise ValueError(f"budget: got {budget:g} m; allowed: at most {longest}")
-        self.separation, self.seed = float(separation), int(seed)
+        self.separation, self.seed = separation, int(seed)
         self.spacing = above_zero("spacing", spacing, "m")
         lengthscale = self._size / 6.0 if lengthscale is None else above_zero("lengthscale", lengthscale, "m")
         # Plans of a team take too long with room for all that it will measure.

@@ -84,7 +84,7 @@ def test_two_robots_map_better_than_one_with_the_same_budget():
 def test_a_mission_of_one_robot_is_that_without_the_argument():
     usual = mission()
     with pytest.warns(UserWarning, match="^separation: got 3 m, which one robot does not use$"):
-        counted = mission(robots=1, separation=3.0, start=[[1.0, 1.0]])
+        counted = mission(robots=1, separation="3", start=[[1.0, 1.0]])
     # Sums over points have no fixed order on a GPU.
     np.testing.assert_allclose(usual.plan(), counted.plan(), rtol=1e-12)
 
