@@ -98,9 +98,10 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     if beyond.min() > 0.0:
         notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
     elif number := int(np.sum(beyond > FAR * width)):
+        why = ", from which the lengthscale is learned" if lengthscale is None else ""
         notes.append(
             f"{file}: {number} of {len(points)} values lie more than {FAR:g} widths of the area away from "
-            "it; check their positions, from which the lengthscale is learned."
+            f"it; check their positions{why}."
         )
     if extent <= 1e-9 * width:
         raise ValueError(f"{file}: all values lie at one place; allowed: places that differ")

@@ -43,10 +43,10 @@ def remarks(survey: Survey, demand: Demand, model: FieldModel, prior: str | None
         yield f"Only {used} of the budget of {demand.budget:.6g} m are used: {reason}."
     if left_out := survey.chosen.left_out:
         yield (
-            f"The proposed lawnmower leaves out {left_out:.0%} of its waypoints, since they leave too little "
-            f"room for turns of {demand.turning_radius:g} m."
+            f"The proposed lawnmower leaves out {100 * left_out:.2g}% of its waypoints, since they leave too "
+            f"little room for turns of {demand.turning_radius:g} m."
         )
-    if len(survey.chosen.distances) == 1:
+    if survey.chosen.length < survey.sampling * (1.0 - 1e-9):
         yield (
             f"Nothing is measured: the proposed route is shorter than {survey.sampling:.4g} m, the distance "
             "between two measurements (--sampling)."

@@ -38,10 +38,10 @@ def written(path, text):
     return str(path)
 
 
-def notes_of(monkeypatch, file, area="200x100"):
+def notes_of(monkeypatch, file, area="200x100", lengthscale=None):
     monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
     with jax.enable_x64(True):
-        return learned_model(file, read_place(area), None).notes
+        return learned_model(file, read_place(area), lengthscale).notes
 
 
 def test_what_is_doubtful_in_an_earlier_survey_is_noted(tmp_path, monkeypatch):
@@ -70,6 +70,10 @@ def test_repeated_and_far_rows_of_an_earlier_survey_are_counted(tmp_path, monkey
         notes = notes_of(monkeypatch, file)
         assert len(notes) == (counted is not None)
         assert counted is None or notes[0].startswith(f"{file}: {counted}")
+    file = written(tmp_path / "old.csv", "\n".join(["x,y,z", *rows, "1e7,5,1"]))
+    for lengthscale, end in ((None, ", from which the lengthscale is learned."), (50.0, ".")):
+        (note,) = notes_of(monkeypatch, file, lengthscale=lengthscale)
+        assert note.endswith(f"check their positions{end}")
 
 
 def test_metres_are_refused_for_an_area_in_degrees(tmp_path):
