@@ -45,8 +45,8 @@ Draw = Callable[
 """Draws the observation that `expand` draws with the same key.
 
 The arguments are this key, the tree, the state, the action, the belief nodes of its branches, padded with
-`ROOT`, and whether to count the draw. Returned are the beliefs of the tree, with the draw counted; whether a
-branch has this observation; and how often the observation of each branch was drawn.
+`UNVISITED`, and whether to count the draw. Returned are the beliefs of the tree, with the draw counted;
+whether a branch has this observation; and how often the observation of each branch was drawn.
 """
 
 
@@ -258,7 +258,7 @@ class BeliefTreeSearch(eqx.Module):
             num_allowed = jnp.sum(rules.for_branches <= visits, dtype=jnp.int32)
             if draw is not None:
                 branches = tree.branches_of(action_node)
-                num_branches = jnp.sum(branches != ROOT, dtype=jnp.int32)
+                num_branches = jnp.sum(branches != UNVISITED, dtype=jnp.int32)
                 draws = num_allowed > num_branches
                 is_counted = at.is_active & draws
                 beliefs, is_known, counts = draw(key_draw, grown, at.state, action, branches, is_counted)

@@ -11,7 +11,7 @@ from typing_extensions import override
 from bojax.numerics.simulation_keys import random_index
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Draw, Expansion
-from bojax.planning.tree import ROOT, Tree, row
+from bojax.planning.tree import UNVISITED, Tree, row
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
 
@@ -128,7 +128,7 @@ def _draw(
     is_counted: Bool[Array, ""],
 ) -> tuple[Reservoirs, Bool[Array, ""], Float[Array, "B"]]:
     *_, observation = _simulated(key, problem, state, action)
-    beliefs, is_branch = tree.beliefs, branches != ROOT
+    beliefs, is_branch = tree.beliefs, branches != UNVISITED
     is_same = is_branch & jnp.all(beliefs.observation[branches] == observation[None], axis=1)
     count = beliefs.count.at[branches].add((is_same & is_counted).astype(beliefs.count.dtype))
     beliefs = eqx.tree_at(lambda all: all.count, beliefs, count)

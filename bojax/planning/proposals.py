@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
-from bojax.planning.tree import Tree, row
+from bojax.planning.tree import Tree, mean_return, row
 from bojax.problems.actions import ActionSpace
 
 Target = Literal["reward", "return"]
@@ -84,7 +84,7 @@ class VoronoiProposal(Proposal):
         actions = tree.parameters_of(row(tree.children, node))
         visits, returns = totals[:, 0], totals[:, 1]
         exists = visits > 0.0
-        best = jnp.argmax(jnp.where(exists, returns / jnp.maximum(visits, 1.0), -jnp.inf))
+        best = jnp.argmax(mean_return(visits, returns))
 
         shape = self.max_candidates, actions.shape[1]
         offsets = jax.random.normal(key_candidates, shape, actions.dtype) * jnp.sqrt(self.variance)[None]
