@@ -23,9 +23,10 @@ class Area:
     avoid: tuple[tuple[Ring, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.outline) == 0:
+        outline = tuple(map(_ring, () if self.outline is None else self.outline))
+        if not outline:
             raise ValueError("area: has no outline; allowed: at least one ring of three corners")
-        object.__setattr__(self, "outline", tuple(map(_ring, self.outline)))
+        object.__setattr__(self, "outline", outline)
         object.__setattr__(self, "avoid", tuple(tuple(map(_ring, zone)) for zone in self.avoid))
 
     @classmethod

@@ -79,6 +79,7 @@ def given(wrong: Any) -> Any:
     ("make", "message"),
     [
         (lambda: Area(()), "has no outline"),
+        (lambda: Area(given(None)), "has no outline"),
         (lambda: Area((np.eye(2),)), "2 corners"),
         (lambda: Area((given(["here", "there", "nowhere"]),)), "area: a ring is not an array of numbers"),
         (lambda: Area(given(np.eye(3))), r"area: got a ring of shape \(3,\); allowed: rows of x and y"),
