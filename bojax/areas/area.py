@@ -14,12 +14,15 @@ LARGEST_GRID = 4_000_000  # cells of a grid
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """An area in the plane: polygons with holes, without no-go zones. Immutable."""
+    """An area in the plane: polygons with holes, without no-go zones. Immutable.
 
-    # Borders of the polygons and of their holes, in any order: a point is inside if a ray from it crosses
-    # them an odd number of times
+    Attributes:
+        outline: Borders of the polygons and of their holes, in any order: a point is inside if a ray from it
+            crosses them an odd number of times.
+        avoid: No-go zones, each given by the borders of its polygons and holes; zones may overlap.
+    """
+
     outline: tuple[Ring, ...]
-    # No-go zones, each given by the borders of its polygons and holes; zones may overlap
     avoid: tuple[tuple[Ring, ...], ...] = ()
 
     def __post_init__(self) -> None:

@@ -33,23 +33,38 @@ _SIZE = re.compile(r"([\d.eE+]+)\s*(k?m)?\s*x\s*([\d.eE+]+)\s*(k?m)?")
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of a file, thinned for drawing."""
+    """Values of a file, thinned for drawing.
 
-    file: str  # its name
-    points: np.ndarray  # positions `[N, 2]`, m
-    values: np.ndarray  # values `[N]`
-    label: str = ""  # name of the values, with their unit in parentheses; empty if the file has none
+    Attributes:
+        file: Its name.
+        points: Positions `[N, 2]`, m.
+        values: Values `[N]`.
+        label: Name of the values, with their unit in parentheses; empty if the file has none.
+    """
+
+    file: str
+    points: np.ndarray
+    values: np.ndarray
+    label: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """An area in metres, and where it lies."""
+    """An area in metres, and where it lies.
 
-    name: str  # what it was read from
-    area: Area  # the area, in the frame of `projection`
-    projection: Projection  # the frame
-    notes: tuple[str, ...] = ()  # what a user should know of how it was read, a sentence each
-    values: Values | None = None  # the values of a raster
+    Attributes:
+        name: What it was read from.
+        area: The area, in the frame of `projection`.
+        projection: The frame.
+        notes: What a user should know of how it was read, a sentence each.
+        values: The values of a raster.
+    """
+
+    name: str
+    area: Area
+    projection: Projection
+    notes: tuple[str, ...] = ()
+    values: Values | None = None
 
     def point(self, given: Sequence[float], name: str) -> np.ndarray:
         """A point of the area given in the coordinates of its file, in metres.

@@ -165,7 +165,10 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     longest = max(length_of(each.route) for _, together in routes for each in together)
     sampling = demand.sampling or model.lengthscale / 5.0
     errors = PointErrors.of(belief, jnp.asarray(grid), jnp.asarray(weights))
-    outcomes = _Outcomes(errors, sampling, demand.budget or longest, demand.robots)
+    # No more than twice the longest lawnmower, or routes that are far shorter than the budget would have no
+    # sample.
+    reach = longest if demand.budget is None else min(demand.budget, 2.0 * longest)
+    outcomes = _Outcomes(errors, sampling, reach, demand.robots)
     found = [outcomes.of_lawnmowers(*each) for each in routes]
     # Without a budget every candidate covers the area: the shortest one is the best. Turns may leave gaps.
     by_length = demand.budget is None and demand.turning_radius == 0.0

@@ -29,44 +29,65 @@ DIRECTIONS = 4  # of parallel lines
 
 @dataclass(frozen=True)
 class RouteOptions:
-    """Options of the optimiser; the numbers of waypoints, routes and steps fix its compiled program."""
+    """Options of the optimiser; the numbers of waypoints, routes and steps fix its compiled program.
 
-    waypoints: int = 48  # number of waypoints
-    restarts: int = 8  # number of first guesses that are descended
-    steps: int = 200  # steps of Adam
-    rate: float = 0.01  # largest change of a coordinate in a step, as a share of the length of the area
-    # Number of plausible beliefs over which the error is averaged; 1 for the given belief alone
+    Attributes:
+        waypoints: Number of waypoints.
+        restarts: Number of first guesses that are descended.
+        steps: Steps of Adam.
+        rate: Largest change of a coordinate in a step, as a share of the length of the area.
+        models: Number of plausible beliefs over which the error is averaged; 1 for the given belief alone.
+        stretch: Range of their lengthscales, relative to the given ones. With a longer upper end, places far
+            from the route count more: it leaves no large gaps, and covers less densely.
+        anisotropy: Largest ratio of the lengthscales of two directions, relative to the given ones.
+        turning_radius: Least radius of turns, m; 0 for any.
+    """
+
+    waypoints: int = 48
+    restarts: int = 8
+    steps: int = 200
+    rate: float = 0.01
     models: int = 8
-    # Range of their lengthscales, relative to the given ones. With a longer upper end, places far from the
-    # route count more: it leaves no large gaps, and covers less densely
     stretch: tuple[float, float] = (0.7, 1.4)
-    anisotropy: float = 3.0  # largest ratio of the lengthscales of two directions, relative to the given ones
-    turning_radius: float = 0.0  # least radius of turns, m; 0 for any
+    anisotropy: float = 3.0
+    turning_radius: float = 0.0
 
 
 @dataclass(frozen=True)
 class Route:
-    """A planned route."""
+    """A planned route.
 
-    waypoints: Waypoints  # waypoints, start and end included, m
-    length: float  # length along straight pieces, m; at most the budget
-    # Root mean squared error over the area that is expected after the route, averaged over the plausible
-    # beliefs
+    Attributes:
+        waypoints: Waypoints, start and end included, m.
+        length: Length along straight pieces, m; at most the budget.
+        error: Root mean squared error over the area that is expected after the route, averaged over the
+            plausible beliefs.
+        chosen: Name of the candidate: a first guess as given, or "optimised from ...".
+        candidates: Error of every candidate that keeps the budget and stays in the area, best first.
+    """
+
+    waypoints: Waypoints
+    length: float
     error: float
-    chosen: str  # name of the candidate: a first guess as given, or "optimised from ..."
-    # Error of every candidate that keeps the budget and stays in the area, best first
+    chosen: str
     candidates: dict[str, float]
 
 
 @dataclass(frozen=True)
 class Routes:
-    """Routes that were planned together, one for each robot."""
+    """Routes that were planned together, one for each robot.
 
-    # Waypoints of each, start and end included, m; each is at most as long as the budget
+    Attributes:
+        routes: Waypoints of each, start and end included, m; each is at most as long as the budget.
+        error: As of a `Route`, after the measurements of all robots.
+        chosen: As of a `Route`.
+        candidates: As of a `Route`.
+    """
+
     routes: tuple[Waypoints, ...]
-    error: float  # as of a `Route`, after the measurements of all robots
-    chosen: str  # as of a `Route`
-    candidates: dict[str, float]  # as of a `Route`
+    error: float
+    chosen: str
+    candidates: dict[str, float]
 
     @property
     def each(self) -> list[Route]:

@@ -414,3 +414,14 @@ def test_what_a_survey_does_not_use_is_noted(tmp_path, capsys):
 )
 def test_a_length_below_a_kilometre_has_no_exponent(metres, shown):
     assert _distance(metres) == shown
+
+
+def test_errors_are_those_of_a_route_that_is_far_shorter_than_the_budget(tmp_path):
+    errors = []
+    for budget in ("100km", "300"):
+        words = ["--budget", budget, "--spacing", "80", "--lawnmower"]
+        planned(tmp_path / budget, "100x100", *words)
+        candidates = json.loads((tmp_path / budget / "survey.json").read_text())["candidates"]
+        errors.append([candidates[0]["length"], candidates[0]["errors"][-1]])
+    assert errors[0][0] < 200.0 and errors[0][1] < 0.9
+    assert errors[0] == pytest.approx(errors[1], rel=1e-3)

@@ -300,5 +300,5 @@ def _check_choices(declaration: Declaration, where: str) -> None:
         value = declaration.file.choices[name].names[level]
         raise ConfigError(
             f"{where}: choices.{name}: got {shown(value)}, which changes no point of "
-            f"{', '.join(sweeps)}; allowed: settings that a point has"
+            f"{', '.join(sweeps)} that a claim compares; allowed: settings that such a point has"
         )
