@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator
+from typing import Self
 
 from bojax.errors import UserError
 
@@ -24,8 +25,10 @@ def how_to_install(extra: str) -> str:
 class MissingExtra(UserError, ImportError):
     """An optional package that is not installed."""
 
-    def __init__(self, package: str, extra: str):
-        super().__init__(f"{package} is not installed; {how_to_install(extra)}")
+    @classmethod
+    def of(cls, package: str, extra: str) -> Self:
+        """The error about a package of an extra."""
+        return cls(f"{package} is not installed; {how_to_install(extra)}")
 
 
 @contextlib.contextmanager
@@ -38,4 +41,4 @@ def needed(package: str, extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise MissingExtra(package, extra) from error
+        raise MissingExtra.of(package, extra) from error

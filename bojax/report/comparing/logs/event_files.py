@@ -60,7 +60,7 @@ def _event_class() -> Callable[[], Any]:
             return import_module(module).Event
         except ImportError:
             continue
-    raise MissingExtra("tensorboardX", "tensorboard")
+    raise MissingExtra.of("tensorboardX", "tensorboard")
 
 
 def _records(path: Path) -> Iterator[bytes]:
