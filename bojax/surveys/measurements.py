@@ -43,7 +43,7 @@ class Measurements:
         self.hyperparameters = self.medians = hyperparameters
         self.shift, self.scale = 0.0, 1.0
         self.learned_at, self.expected = 0, expected
-        self._held: set[tuple[float, ...]] = set()  # rows of both, by which duplicates are found
+        self._held: set[tuple[float, ...]] = set()  # rows of x and y together, to find duplicates
 
     def __len__(self) -> int:
         """Number of measurements."""
@@ -52,8 +52,8 @@ class Measurements:
     def take(self, points: Waypoints, values: np.ndarray, is_far: np.ndarray, counts: Counter[str]) -> int:
         """Add values `[S]` at points `[S, 2]`, and return how many were added.
 
-        What cannot be used is left out and counted by its reason, which for points that are too far away,
-        `is_far`, is `far_off`.
+        What cannot be used is left out, and counted by its reason; `is_far` marks points that are too far
+        away.
         """
         is_finite = np.isfinite(values) & np.isfinite(points).all(axis=1)
         rows = np.column_stack([points, values])

@@ -14,11 +14,10 @@ from bojax.areas.area import Area, check_inside
 from bojax.config.extras import MissingExtra
 from bojax.fields.scale import unit_doubt
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.surveys.given import above_zero, numbers, positions, rows
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.lawnmower import MOST_LINES, Ground, too_small
 from bojax.surveys.measurements import LEAST_DATA, MOST_EXACT, Measurements
-from bojax.surveys.mission_file import read_mission, write_mission
+from bojax.surveys.mission_file import SETTINGS, SavedMission, read_mission, write_mission
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.robot import Robot
@@ -26,6 +25,7 @@ from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spre
 from bojax.surveys.search import Search, part_around
 from bojax.surveys.team import MOST_ROBOTS
 from bojax.surveys.turns import drivable
+from bojax.surveys.validation import above_zero, numbers, positions, rows
 
 OPTIONS = RouteOptions(restarts=4, steps=120, models=4)  # the earlier plan is a good first guess
 
@@ -431,7 +431,9 @@ class Mission:
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
-        write_mission(self, Path(path))
+        settings = {name: getattr(self, name) for name in SETTINGS}
+        state = self.area, self.robots, self.options, self.goal, self.counts, self.measured
+        write_mission(SavedMission(*state, settings), Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> "Mission":
@@ -441,8 +443,12 @@ class Mission:
             ValueError: The file is not one.
             FileNotFoundError: There is no such file.
         """
+        saved = read_mission(path)
         mission = cls.__new__(cls)  # unlike a new one, it may have left the area or used its budget
-        read_mission(mission, path)
+        mission._prepare(saved.area, saved.robots, saved.options)
+        mission.goal, mission.counts, mission.measured = saved.goal, saved.counts, saved.measured
+        for name, value in saved.settings.items():
+            setattr(mission, name, value)
         return mission
 
     def _is_near(self, points: Waypoints) -> np.ndarray:

@@ -4,32 +4,41 @@ import dataclasses
 import json
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bojax.areas.area import Area
 from bojax.results.store import write_arrays
-from bojax.surveys.given import positions
 from bojax.surveys.goals import Goal
 from bojax.surveys.measurements import Measurements
 from bojax.surveys.polylines import length_of
 from bojax.surveys.robot import Robot
 from bojax.surveys.route import Route, RouteOptions
+from bojax.surveys.validation import positions
 
-if TYPE_CHECKING:
-    from bojax.surveys.mission import Mission
-
-_OF_MISSION = ("spacing", "relearn_every", "seed", "separation", "_plans")
+SETTINGS = ("spacing", "relearn_every", "seed", "separation", "_plans")
 """Attributes of a mission that are saved as JSON."""
 
 _OF_MEASUREMENTS = ("hyperparameters", "medians", "shift", "scale", "learned_at", "expected")
-"""Those of its measurements; but for the first, their names in a file begin with an underscore."""
+"""Attributes of its measurements; except for the first, their names in a file begin with an underscore."""
 
 
-def write_mission(mission: "Mission", path: Path) -> None:
+class SavedMission(NamedTuple):
+    """The content of a file of a mission."""
+
+    area: Area
+    robots: list[Robot]
+    options: RouteOptions
+    goal: Goal
+    counts: Counter[str]
+    measured: Measurements
+    settings: dict[str, Any]  # values of `SETTINGS`; files of earlier versions lack some
+
+
+def write_mission(mission: SavedMission, path: Path) -> None:
     """Write a mission to a file, which is replaced at once or not at all."""
-    plain: dict[str, Any] = {name: getattr(mission, name) for name in _OF_MISSION}
+    plain: dict[str, Any] = dict(mission.settings)
     plain |= {_in_file(name): getattr(mission.measured, name) for name in _OF_MEASUREMENTS}
     plain["remaining"], plain["_time"] = zip(
         *((robot.remaining, robot.time) for robot in mission.robots), strict=True
@@ -52,8 +61,8 @@ def write_mission(mission: "Mission", path: Path) -> None:
     write_arrays(path, {"plain": np.asarray(json.dumps(plain)), **arrays})
 
 
-def read_mission(mission: "Mission", path: str | Path) -> None:
-    """Set everything in a mission that was not prepared to what a file holds.
+def read_mission(path: str | Path) -> SavedMission:
+    """The mission that a file holds.
 
     Raises:
         ValueError: The file is not one that `write_mission` wrote.
@@ -78,21 +87,19 @@ def read_mission(mission: "Mission", path: str | Path) -> None:
             Robot(at, left, to, time=time)
             for at, left, to, time in zip(places, remaining, ends, times, strict=True)
         ]
-        mission._prepare(area, robots, RouteOptions(**options))
         for number, robot in enumerate(robots):
             waypoints = data[f"route{number or ''}"]
             if len(waypoints):
                 robot.route = Route(waypoints, length_of(waypoints), np.nan, "earlier plan", {})
-        mission.goal = Goal(kind, threshold, region)
-        mission.counts = Counter(plain["counts"])
-        for name in plain.keys() & set(_OF_MISSION):
-            setattr(mission, name, plain[name])
-        measured = mission.measured = Measurements(tuple(plain["hyperparameters"]))
+        measured = Measurements(tuple(plain["hyperparameters"]))
         for name in _OF_MEASUREMENTS[1:]:
             if _in_file(name) in plain:
                 setattr(measured, name, plain[_in_file(name)])
         measured.medians = tuple(plain["_medians"])
         measured.restore(data["x"], data["y"])
+        goal, counts = Goal(kind, threshold, region), Counter[str](plain["counts"])
+        settings = {name: plain[name] for name in SETTINGS if name in plain}
+        return SavedMission(area, robots, RouteOptions(**options), goal, counts, measured, settings)
     except FileNotFoundError:
         raise
     except Exception as error:

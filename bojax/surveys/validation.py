@@ -1,4 +1,4 @@
-"""Checks of the numbers that a mission is given."""
+"""Checks of the numbers that a user gives a mission."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ def above_zero(name: str, given: Any, unit: str = "") -> float:
     """A number above 0.
 
     Raises:
-        ValueError: It is none.
+        ValueError: It is something else.
     """
     try:
         value = np.nan if isinstance(given, str) else float(given)
