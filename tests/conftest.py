@@ -155,6 +155,13 @@ def pytest_runtest_logstart(location):
     _file[0] = location[0]
 
 
+def pytest_report_teststatus(report):
+    """Name each failure at once: a run that is stopped prints no summary."""
+    if report.failed:
+        status, letter = ("failed", "F") if report.when == "call" else ("error", "E")
+        return status, f"\n{letter} {report.nodeid}\n", status.upper()
+
+
 def pytest_sessionfinish(session):
     if hasattr(session.config, "workeroutput"):  # of a worker of pytest-xdist, for the next hook
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
