@@ -117,4 +117,4 @@ def guarded(work: Callable[[], int]) -> int:
         return work()
     except EXPECTED as error:
         say(f"error: {error}")
-        return getattr(error, "exit_code", FAILURE)
+        return error.exit_code if isinstance(error, UserError) else FAILURE
