@@ -5,6 +5,7 @@ merge. Between two such events a piece sweeps a cell, which is driven to and fro
 after the other, by shortest paths around holes.
 """
 
+import bisect
 import contextlib
 import itertools
 import math
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 DIRECTIONS = 8
 """Number of directions of the lines that are tried."""
+
+PRECISION = 1e-9
+"""Share of a budget that may be left."""
 
 MOST_LINES = 10_000
 """Lines of a direction up to which a spacing is not taken for a mistake."""
@@ -331,25 +335,52 @@ def joined(legs: Sequence[np.ndarray], transfers: Ways) -> np.ndarray:
 def cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Ways) -> np.ndarray:
     """The beginning of a route and the way to its end, together at most as long as the budget."""
     driven = driven_at(route)
-    lengths = np.diff(driven)
 
-    def upto(distance: float) -> np.ndarray:
+    def at(distance: float) -> np.ndarray:
         index = int(np.searchsorted(driven, distance, side="right")) - 1
-        if index >= len(lengths):
-            return route
-        share = (distance - driven[index]) / lengths[index]
-        last = (1.0 - share) * route[index] + share * route[index + 1]
-        begun = np.concatenate([route[: index + 1], last[None]])
-        return (
-            begun
-            if end is None
-            else np.concatenate([begun, transfers.path(last, np.asarray(end, float))[1:]])
-        )
+        share = (distance - driven[index]) / (driven[index + 1] - driven[index])
+        return (1.0 - share) * route[index] + share * route[index + 1]
 
     if end is None:
-        return upto(budget)
-    low, high = 0.0, min(budget, driven[-1])  # a way back is feasible from the start
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (middle, high) if length_of(upto(middle)) <= budget else (low, middle)
-    return upto(low)
+        is_whole = budget >= driven[-1]
+        return route if is_whole else np.concatenate([route[driven <= budget], at(budget)[None]])
+    end = np.asarray(end, float)
+    # The total length never falls along the route, since the way to the end shortens by no more than what was
+    # driven. So the waypoints at which the budget still suffices come first; at the start it does.
+    beyond = bisect.bisect_left(
+        range(len(route)),
+        True,
+        lo=1,
+        key=lambda index: driven[index] + length_of(transfers.path(route[index], end)) > budget,
+    )
+    low, way = float(driven[beyond - 1]), transfers.path(route[beyond - 1], end)
+    if beyond < len(route):
+        high = float(driven[beyond])
+        direction = (route[beyond] - route[beyond - 1]) / (high - low)
+        resolution = PRECISION * budget
+        while high - low > resolution:
+            trial = low + _farther(way, direction, budget - low)
+            if trial - low <= resolution:
+                break
+            found = transfers.path(at(trial), end) if trial < high else None
+            if found is None or trial + length_of(found) > budget:  # around another corner
+                high, trial = min(high, trial), (low + min(high, trial)) / 2.0
+                found = transfers.path(at(trial), end)
+            if trial + length_of(found) > budget:
+                high = trial
+            else:
+                low, way = trial, found
+    return np.concatenate([route[driven < low], way])
+
+
+def _farther(way: np.ndarray, direction: np.ndarray, left: float) -> float:
+    """How far one can go first, m, if the next waypoint of a way then still is in sight.
+
+    What is `left` suffices for the distance t in the `direction` d, the straight line to that waypoint, and
+    the rest of the way. With the vector a from the waypoint to here, t + |a + t d| is what is left for both
+    legs: the point lies on an ellipse.
+    """
+    offset = way[0] - way[1]
+    legs = (1.0 - PRECISION) * left - length_of(way[1:])  # a little less, or rounding might exceed the budget
+    divisor = 2.0 * (legs + offset @ direction)
+    return float((legs**2 - offset @ offset) / divisor) if divisor > 0.0 else 0.0

@@ -25,7 +25,7 @@ def comb(num_walls):
 def channel():
     """A winding channel with a ragged border, too narrow for an outline that is simplified."""
     rng = np.random.default_rng(1)
-    headings = np.cumsum(rng.normal(0.0, 0.6, 120))
+    headings = np.cumsum(rng.normal(0.0, 0.6, 60))
     middle = np.cumsum(30.0 * np.stack([np.cos(headings), np.sin(headings)], axis=1), axis=0)
     smooth = shapely.segmentize(shapely.LineString(middle).buffer(12.0), 6.0)
     ragged = [

@@ -9,7 +9,9 @@ shapely = pytest.importorskip("shapely")
 
 from bojax.areas.area import Area  # noqa: E402
 from bojax.areas.shapes import to_shape  # noqa: E402
-from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within, length_of  # noqa: E402
+from bojax.areas.transfers import Transfers  # noqa: E402
+from bojax.surveys.lawnmower import Ground, cut, lawnmower, lawnmowers_within, length_of  # noqa: E402
+from bojax.surveys.polylines import driven_at, points_along  # noqa: E402
 
 HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
 SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)
@@ -78,6 +80,36 @@ def test_the_budget_is_kept(name: str, has_end: bool, budget: float) -> None:
             np.testing.assert_array_equal(route[0], start)
             if end is not None:
                 np.testing.assert_allclose(route[-1], end)
+
+
+@pytest.mark.parametrize("name", AREAS)
+def test_a_route_is_cut_where_the_way_to_the_end_uses_up_the_budget(name: str) -> None:
+    area = AREAS[name]
+    transfers, route = Transfers(to_shape(area)), lawnmower(area, 1.1, 0.4).route
+    driven = driven_at(route)
+    rng = np.random.default_rng(0)
+    for end in route[rng.choice(len(route), 6)]:
+
+        def total(distance: float, end: np.ndarray = end) -> float:
+            return distance + length_of(transfers.path(points_along(route, np.array([distance]))[0], end))
+
+        for share in rng.random(6):
+            budget = total(0.0) + share * (total(driven[-1]) - total(0.0))
+            low, high = 0.0, driven[-1]
+            for _ in range(60):
+                middle = (low + high) / 2.0
+                low, high = (middle, high) if total(middle) <= budget else (low, middle)
+            found = cut(route, budget, end, transfers)
+            assert length_of(found) <= budget * (1.0 + 1e-12)
+            assert length_of(found) == pytest.approx(budget, rel=1e-8)
+            np.testing.assert_array_equal(found[-1], end)
+            assert is_inside(area, found)
+            # Close to the largest distance from which the way back is as long: it may be as long for a while.
+            kept = min(len(found), int(np.sum(driven <= low)))
+            np.testing.assert_array_equal(found[: kept - 1], route[: kept - 1])
+    np.testing.assert_array_equal(
+        cut(route, 2.0 * driven[-1] + 100.0, route[0], transfers)[: len(route)], route
+    )
 
 
 def test_a_budget_is_used_up_and_more_of_it_covers_more() -> None:
