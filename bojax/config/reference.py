@@ -88,7 +88,7 @@ def _contents() -> str:
 
 
 def _claims() -> str:
-    return "\n".join(["# Tests of claims\n", _GENERATED, *_parts(registry["test"])])
+    return "\n".join(["# Tests of claims\n", _GENERATED, *_parts(registry["test"], "##")])
 
 
 def _anchor(role: str) -> str:
@@ -105,9 +105,9 @@ def _roles(names: tuple[str, ...]) -> Iterator[str]:
         yield from _parts(kinds(role))
 
 
-def _parts(schemas: Mapping[str, type[pydantic.BaseModel]]) -> Iterator[str]:
+def _parts(schemas: Mapping[str, type[pydantic.BaseModel]], heading: str = "###") -> Iterator[str]:
     for kind, schema in schemas.items():
-        yield f"### `{kind}`\n"
+        yield f"{heading} `{kind}`\n"
         yield from _about(schema)
 
 

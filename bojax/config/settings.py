@@ -43,7 +43,11 @@ class Settings(Schema, frozen=True):
     """The reserved top-level keys of an experiment file."""
 
     title: str = Field(default="", description="title in lists and reports, one line")
-    runs: int = Field(ge=1, description="number of runs of every point, each with its own random key")
+    runs: int = Field(
+        default=1,
+        ge=1,
+        description="number of runs of every point, each with its own random key; of a sweep, 200 by default",
+    )
     seed: int = Field(
         default=0, ge=0, le=2**32 - 1, description="seed from which the keys of all runs are derived"
     )
