@@ -32,7 +32,7 @@ COMMANDS = {
     "best": ("best", "print the config of the best point of a sweep, and confirm its score"),
     "compare": ("comparing", "compare results folders and curves of other libraries on one page"),
     "export": ("exporting", "export results to CSV, TensorBoard, Weights & Biases or MLflow"),
-    "tune": ("tuning", "search for the best values of numeric settings by Bayesian optimisation"),
+    "tune": ("tuning", "search for the best settings by Bayesian optimisation"),
     "survey": ("survey", "plan the route of a survey over an area, beside the lawnmower"),
     "render": ("rendering", "draw a film or a still of a recorded run"),
     "bench": ("bench", "run benchmarks that compare bojax with other packages"),

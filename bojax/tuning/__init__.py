@@ -1,1 +1,1 @@
-"""Search for the best values of numeric settings: rounds of sweeps, proposed by Bayesian optimisation."""
+"""Search for the best settings: rounds of sweeps, proposed by Bayesian optimisation."""

@@ -181,6 +181,6 @@ def test_the_page_shows_how_orbax_opens_them(results, capsys):
     exec(shown, {})
     assert capsys.readouterr().out.splitlines() == [
         "[0 1 2 3]",
-        "[2. 3. 4.]",
+        "{'key': (4, 2), 'weights': (4, 3)}",
         "{'0': (600,), '1': (7, 3), '2': (4, 2)}",
     ]
