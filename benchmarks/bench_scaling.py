@@ -292,7 +292,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(5, 3.4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(6.5, 3.4), layout="constrained")
     counts = sorted({row["devices"] for row in rows})
     axes.plot(counts, counts, color="gray", linestyle=":", label="ideal")
     cards = list(dict.fromkeys(row["device"] for row in rows))
@@ -307,7 +307,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             axes.plot(*zip(*points, strict=True), marker=marker, linestyle=style, label=", ".join(words))
     label = f"devices ({cards[0]})" if len(cards) == 1 else "devices"
     axes.set(xlabel=label, ylabel="times as fast as one", xticks=counts)
-    axes.legend(frameon=False, fontsize="small")
+    figure.legend(loc="outside right upper", frameon=False, fontsize="small")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
