@@ -39,9 +39,9 @@ def draw_ratios(judged: Sequence[Judged]) -> Drawing:
     return Drawing(
         figure,
         "Errors relative to the rivals'",
-        "Ratio of sums of errors with its 95% interval over starts; the black line is the bound of the aim. "
-        "Blue: within it; orange: beyond it; grey: not told apart by these starts. Some intervals are longer "
-        "than the axis.",
+        "Ratio of sums of errors with its 95% interval over starts; the vertical line is the bound of the "
+        "aim. Blue: within it; orange: beyond it; grey: not told apart by these starts. Some intervals are "
+        "longer than the axis.",
         f"{counted(len(rows), 'ratio')} of errors with intervals.",
     )
 
