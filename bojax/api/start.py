@@ -107,8 +107,8 @@ def tune(
     Args:
         config: Name of a config, path of a YAML file, or its content as a mapping.
         ranges: Bounds of each tuned setting, by dotted path: `{"planner.exploration": (10, 1000, "log")}`;
-            with `"log"`, values are searched by their logarithm. A list has choices: `{"planner": ["kcbts",
-            "sbo"]}`.
+            with `"log"`, values are searched on a logarithmic scale. A list has choices:
+            `{"planner": ["kcbts", "sbo"]}`.
         metric: Column of `runs.parquet` whose mean is the score.
         minimise: Whether less is better.
         budget: Number of runs of the search in all.

@@ -1,4 +1,4 @@
-"""Spaces to search: ranges of numbers and integers, also by their logarithm, and choices. Imports no JAX."""
+"""Spaces to search: ranges of numbers and integers, linear or logarithmic, and choices. Imports no JAX."""
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
@@ -17,7 +17,7 @@ SIGNIFICANT = 6
 """Significant digits of a proposed number, so that proposals stay readable."""
 
 LOG = "log"
-"""The third element of a range whose values are searched by their logarithm."""
+"""The third element of a range whose values are searched on a logarithmic scale."""
 
 
 class SpaceError(ValueError):
@@ -31,7 +31,7 @@ class Range:
     key: str
     low: float
     high: float
-    is_log: bool  # whether values are searched by their logarithm
+    is_log: bool  # whether values are searched on a logarithmic scale
     is_integer: bool  # whether values are integers; positions are then rounded
 
     @property

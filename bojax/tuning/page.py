@@ -200,7 +200,7 @@ def _ranked(tuning: Tuning) -> Table:
 def _range(each: Axis) -> str:
     if isinstance(each, Choice):
         return f"one of {', '.join(map(plain, each.values))}"
-    scale = ", by its logarithm" if each.is_log else ""
+    scale = ", on a logarithmic scale" if each.is_log else ""
     return f"{each.low:g} to {each.high:g}{scale}{', an integer' if each.is_integer else ''}"
 
 
