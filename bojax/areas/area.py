@@ -14,7 +14,7 @@ LARGEST_GRID = 4_000_000  # cells of a grid
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """An area in the plane: polygons with holes, without no-go zones. Immutable.
+    """An area in the plane: polygons with holes, minus no-go zones. Immutable.
 
     Attributes:
         outline: Borders of the polygons and of their holes, in any order: a point is inside if a ray from it
