@@ -63,7 +63,3 @@ class StateModel(eqx.Module):
     def heuristic_value(self, state: Float[Array, "D"]) -> Float[Array, ""] | None:
         """Value of a state if states were observed (MDP), as a leaf value; None if it is not known."""
         return None
-
-    def is_terminal(self, state: Float[Array, "D"]) -> Bool[Array, ""] | None:
-        """Whether a state is terminal; None if the state alone does not say so, but only `step`."""
-        return None

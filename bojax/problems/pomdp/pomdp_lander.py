@@ -135,12 +135,11 @@ class PomdpLander(ReadingProblem):
         # Without the floor, rounding to float32 might make a small variance negative.
         floor = _LEAST_VARIANCE * jnp.eye(mean.shape[0], dtype=mean.dtype)
         states = after.mean[None] + draws @ jnp.linalg.cholesky(after.covariance + floor).T
-        terminal = jax.vmap(self.is_terminal)(states)
+        terminal = jax.vmap(self._is_terminal)(states)
         has_collapsed = jnp.all(terminal) | ~jnp.all(jnp.isfinite(states))
         return Particles(states, belief.log_weights, terminal), has_collapsed
 
-    @override
-    def is_terminal(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
+    def _is_terminal(self, state: Float[Array, "6"]) -> Bool[Array, ""]:
         return self._crashed(state) | self._landed(state)
 
     def _crashed(self, state: Float[Array, "6"]) -> Bool[Array, ""]:

@@ -59,12 +59,11 @@ class VdpTag(ReadingProblem):
         noise = self.target_noise * jax.random.normal(key, (2,), state.dtype)
         target = self.drift(state[2:]) + noise
         next_state = jnp.concatenate([self.move(state[:2], action[0]), target])
-        tagged = self.is_terminal(next_state)
+        tagged = self._is_terminal(next_state)
         reward = jnp.where(tagged, self.tag_reward, self.step_reward)
         return next_state, reward + action[1] * self.look_reward, tagged
 
-    @override
-    def is_terminal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
+    def _is_terminal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
         return _length(state[2:] - state[:2]) < self.tag_radius
 
     @override
