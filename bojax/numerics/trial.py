@@ -42,12 +42,18 @@ def require(name: str, value: Any, expected: Array) -> None:
     """Raise a `Misfit` unless a value is an array of the shape and the precision of another one."""
     if isinstance(value, Array) and (value.shape, value.dtype) == (expected.shape, expected.dtype):
         return
-    got = f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else type(value).__name__
     is_precision = jnp.issubdtype(expected.dtype, jnp.floating) and (
         value.shape == expected.shape if isinstance(value, Array) else isinstance(value, int | float)
     )
     hint = "; use the dtype of a field, as in jnp.asarray(x, self.FIELD.dtype)" if is_precision else ""
-    raise Misfit(f"{name} is {got}; allowed: {expected.dtype} of shape {expected.shape}{hint}")
+    if isinstance(value, bool) and expected.dtype == bool:
+        hint = "; use jnp.asarray(x)"
+    raise Misfit(f"{name} is {described(value)}; allowed: {expected.dtype} of shape {expected.shape}{hint}")
+
+
+def described(value: Any) -> str:
+    """The precision and the shape of an array, or the type of another value."""
+    return f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else type(value).__name__
 
 
 class Misfit(Exception):

@@ -14,7 +14,7 @@ from bojax.models.checks import is_known
 from bojax.numerics.lanes import TREES
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
-from bojax.planning.leaf_values import LeafValue, Policy, StateValue
+from bojax.planning.leaf_values import LeafValue, Policy
 from bojax.planning.oracles import policy_named
 from bojax.planning.root_parallel import recommended_by_all
 from bojax.planning.tree import Tree
@@ -108,10 +108,6 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
 
     @override
     def check(self, problem: Problem) -> None:
-        if isinstance(problem, StateProblem) and isinstance(self.leaf_value, StateValue):
-            key = jax.random.key(0)
-            if jax.eval_shape(lambda: problem.heuristic_value(problem.initial(key))) is None:
-                raise ValueError("planner.leaf_value: got state-value; the problem has no values of states")
         super().check(problem)
         if self.first_action is not None:
             check_policy("planner.first_action", self.first_action, problem)

@@ -50,7 +50,12 @@ class StateValue(LeafValue):
         remaining: Int[Array, ""],
     ) -> Float[Array, ""]:
         values = jax.vmap(problem.heuristic_value)(states)
-        assert values is not None
+        if values is None:
+            name = type(problem).__name__
+            raise ValueError(
+                "planner.leaf_value: got state-value; allowed: a problem with a heuristic_value, which "
+                f"{name} does not have"
+            )
         return jnp.mean(jnp.where(alive, values, 0.0))
 
 

@@ -208,7 +208,7 @@ class VoronoiProposal(ProposalSettings, frozen=True):
     target: ClassVar[str] = "bojax.planning.proposals:VoronoiProposal"
     kind: Literal["voronoi"] = "voronoi"
     probability: float = Field(default=0.7, ge=0, le=1, description="probability of a random action")
-    variance: Annotated[tuple[float, ...], Field(strict=False)] = Field(
+    variance: Annotated[tuple[Annotated[float, Field(gt=0)], ...], Field(strict=False)] = Field(
         default=(0.1,),
         min_length=1,
         description="variance about the best action, of each parameter in [-1, 1]; one number for all",

@@ -55,6 +55,11 @@ class Box(ActionSpace):
     high: Float[Array, "K"]
     is_angle: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self) -> None:
+        shapes = [getattr(bound, "shape", ()) for bound in (self.low, self.high)]
+        if len(shapes[0]) != 1 or shapes[0] != shapes[1]:
+            raise ValueError(f"Box: got bounds of shapes {shapes[0]} and {shapes[1]}; allowed: two vectors")
+
     @property
     @override
     def size(self) -> int:
@@ -93,7 +98,7 @@ class Discrete(ActionSpace):
     values: Float[Array, "A K"]
 
     def __check_init__(self) -> None:
-        if getattr(self.values, "ndim", 0) != 2:
+        if getattr(self.values, "ndim", 0) != 2 or not self.values.shape[0]:
             raise ValueError(
                 "Discrete: allowed: an array with a row of numbers for each action, such as jnp.eye(3)"
             )

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from bojax.models.checks import is_known
-from bojax.numerics.trial import Misfit, require, trial
+from bojax.numerics.trial import Misfit, described, require, trial
 from bojax.problems import particles
+from bojax.problems.actions import ActionSpace
 from bojax.problems.state_space import StateProblem
 
 _NUM_WALKS, _NUM_STEPS, _NUM_OBSERVATIONS, _NUM_PARTICLES = 8, 3, 256, 1000
@@ -22,6 +23,8 @@ _MOST_DISTINCT = 32
 """A set of observations is taken for finite if `_NUM_OBSERVATIONS` draws have at most so many values."""
 _MOST_RATIO = 1000.0
 """Largest mean ratio of densities, see `_check_fit`."""
+_MOST_DIFFERENCE = 0.2
+"""Largest difference of a probability and the share of draws; six standard deviations of the share."""
 
 
 def check_model(problem: StateProblem) -> None:
@@ -30,9 +33,10 @@ def check_model(problem: StateProblem) -> None:
     Refused are: wrong shapes and precisions; a discount outside (0, 1]; random actions outside the space;
     NaN; methods that are not pure; an observation that no particle explains; a likelihood that does not fit
     the observations, see `_check_fit`; and a likelihood that is not the logarithm of one. That is so if the
-    probabilities of a finite set of observations do not sum to 1, or if the logarithm is never negative, even
-    far from all observations. Whether a density integrates to 1 is not checked. Also refused is a
-    `has_discrete_observations` that contradicts the observations of the walks.
+    probabilities of a finite set of observations do not sum to 1 or are not those with which `observe` draws
+    them, or if the logarithm is the same, or never negative, even far from all observations. Whether a
+    density integrates to 1 is not checked. Also refused is a `has_discrete_observations` that contradicts the
+    observations of the walks.
 
     Classes of bojax, and problems that JAX is tracing, pass.
     """
@@ -48,10 +52,13 @@ def check_model(problem: StateProblem) -> None:
 
 
 def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
-    keys = jax.random.split(key, 4)
+    keys = jax.random.split(key, 6)
     require("discount", problem.discount, jnp.zeros((), problem.discount.dtype))
     state = problem.initial(keys[0])
     _require_vector("initial", state, problem.discount)
+    if not isinstance(problem.actions, ActionSpace):
+        name = type(problem.actions).__name__
+        _refuse(f"actions is {name}; allowed: a property with a space of bojax.problems.actions, such as Box")
     action = problem.actions.decode(problem.actions.sample(keys[1]))
     stepped = problem.step(keys[2], state, action)
     if not isinstance(stepped, tuple) or len(stepped) != 3:
@@ -64,15 +71,29 @@ def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
     _require_vector("observe", observation, problem.discount)
     log_likelihood = problem.log_likelihood(observation, state, action, next_state)
     require("log_likelihood", log_likelihood, problem.discount)
+    belief = problem.prior(keys[4], state, 1)
+    filtered = problem.filter(keys[5], belief, action, observation)
+    if (
+        not isinstance(filtered, tuple)
+        or len(filtered) != 2
+        or not isinstance(filtered[0], particles.Particles)
+    ):
+        _refuse("filter: allowed: two values, the particles and whether none explains the observation")
+    for name in ("states", "log_weights", "terminal"):
+        require(f"filter: {name}", getattr(filtered[0], name), getattr(belief, name))
+    require("filter: the second value", filtered[1], jnp.zeros((), bool))
+    if (value := problem.heuristic_value(next_state)) is not None:
+        require("heuristic_value", value, problem.discount)
     points = problem.sketch(state)
-    sizes = {point.shape for point in points.values()} if isinstance(points, dict) else set()
+    sizes = {getattr(x, "shape", None) for x in points.values()} if isinstance(points, dict) else set()
     if sizes not in ({(1,)}, {(2,)}):
         _refuse("sketch: allowed: a dictionary of vectors, all of 1 number or all of 2")
 
 
 def _require_vector(name: str, value: Float[Array, "N"], example: Float[Array, ""]) -> None:
-    shape = value.shape if isinstance(value, Array) and value.ndim == 1 else (1,)
-    require(name, value, jnp.zeros(shape, example.dtype))
+    if not isinstance(value, Array) or value.ndim != 1:
+        _refuse(f"{name} is {described(value)}; allowed: a vector of {example.dtype}")
+    require(name, value, jnp.zeros(value.shape, example.dtype))
 
 
 class _Sample(eqx.Module):
@@ -80,6 +101,7 @@ class _Sample(eqx.Module):
 
     is_used: Bool[Array, "T"]  # whether the walk has not ended before
     is_finite: Bool[Array, "T"]  # whether states and rewards are finite, after terminal states too
+    is_valued: Bool[Array, "T"]  # whether the heuristic value of the state, if any, is finite
     is_inside: Bool[Array, "T"]  # whether the action is in the action space
     observations: Float[Array, "T N O"]
     own: Float[Array, "T N"]  # log likelihood of the observations
@@ -131,10 +153,15 @@ def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
         belief = particles.initial(problem, prior_key, _NUM_PARTICLES)
         return particles.update(problem, update_key, belief, action, observation)[1]
 
+    def is_valued(state):
+        value = problem.heuristic_value(state)
+        return jnp.isfinite(0.0 if value is None else value)
+
     first = slice(None, None, num_steps)
     return _Sample(
         is_used,
         is_finite,
+        jax.vmap(is_valued)(states),
         jax.vmap(problem.actions.contains)(actions),
         observations,
         of_own(observations, states, actions, following),
@@ -157,9 +184,13 @@ def _check_numbers(problem: StateProblem) -> None:
     sample = found[0]
     used = sample.is_used
     if not np.all(sample.is_inside[used]):
-        _refuse("actions: a random action is not in the action space")
+        _refuse("actions: a random action is not in the action space; allowed: finite bounds, low first")
     if not np.all(sample.is_finite[used]):
-        _refuse("step: a state or a reward is not finite; allowed: finite, after a terminal state too")
+        _refuse(
+            "initial or step: a state or a reward is not finite; allowed: finite, after a terminal state too"
+        )
+    if not np.all(sample.is_valued[used]):
+        _refuse("heuristic_value: the value of a state is not finite")
     if not np.all(np.isfinite(sample.observations[used])):
         _refuse("observe: an observation is not finite")
     agree = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), *found)
@@ -186,23 +217,35 @@ def _check_logarithm(
     others: Float[np.ndarray, "T T"],
     far: Float[np.ndarray, "T F"],
 ) -> None:
-    """Refuse a likelihood in place of its logarithm."""
+    """Refuse a likelihood in place of its logarithm, and one that does not depend on observations."""
     is_finite = True
     for values, logs in zip(observations, own, strict=True):
-        distinct, index = np.unique(values, axis=0, return_index=True)
-        is_finite &= len(distinct) <= _MOST_DISTINCT
-        total = np.sum(np.exp(logs[index]))
-        if len(distinct) <= _MOST_DISTINCT and not 0.8 < total < 1.001:
+        distinct, index, counts = np.unique(values, axis=0, return_index=True, return_counts=True)
+        if len(distinct) > _MOST_DISTINCT:
+            is_finite = False
+            continue
+        probabilities, shares = np.exp(logs[index]), counts / len(values)
+        if not 0.8 < (total := np.sum(probabilities)) < 1.001:
             _refuse(
                 f"log_likelihood: the probabilities of {len(distinct)} observations sum to {total:.3g}; "
                 "allowed: logarithms of probabilities that sum to 1"
             )
+        worst = np.argmax(np.abs(shares - probabilities))
+        if np.abs(shares - probabilities)[worst] > _MOST_DIFFERENCE:
+            _refuse(
+                f"log_likelihood: the observation {distinct[worst].tolist()} has the probability "
+                f"{probabilities[worst]:.3g}, but observe returns it in {shares[worst]:.0%} of draws"
+            )
+    if is_finite:
+        return
     # Where a density is undefined, far from all observations, a logarithm may be anything.
-    if not is_finite and min(own.min(), others.min(), np.nanmin(far, initial=np.inf)) >= 0.0:
+    if min(own.min(), others.min(), np.nanmin(far, initial=np.inf)) >= 0.0:
         _refuse(
             "log_likelihood is never negative, even far from all observations; "
             "allowed: the logarithm of the density, not the density"
         )
+    if np.all(own == own[:, :1]) and np.all(far == own[:, :1]):
+        _refuse("log_likelihood is the same for all observations; allowed: a density of the observation")
 
 
 def _check_fit(own: Float[np.ndarray, "T"], others: Float[np.ndarray, "T T"]) -> None:

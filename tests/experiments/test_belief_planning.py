@@ -108,11 +108,18 @@ def test_planners_face_the_same_initial_states():
 
 def test_a_planner_that_needs_what_the_problem_lacks_is_refused():
     for words, message in (
-        ("vdp-tag planner.leaf_value=state-value", "planner.leaf_value: got state-value; the problem has no"),
+        (
+            "vdp-tag planner.leaf_value=state-value",
+            "planner.leaf_value: got state-value; allowed: a problem with a heuristic_value",
+        ),
         ("light-dark planner=pomcpow planner.leaf_value.policy=to-next-ml", "does not fit the problem"),
         (
             "vdp-tag planner=vomcpow planner.proposal.variance=[1,1,1]",
             "planner.proposal.variance: got 3 numbers; allowed: 1, or 2",
+        ),
+        (
+            "vdp-tag planner=vomcpow planner.proposal.variance=[-0.1]",
+            "planner.proposal.variance.0: got -0.1; allowed: > 0",
         ),
     ):
         with pytest.raises((ConfigError, ValueError), match=message):

@@ -20,7 +20,18 @@ from bojax.problems.state_checks import check_model
 from bojax.problems.state_space import StateProblem
 from tests.refusals import assert_refused, without_annotation_checks
 
-NUMBERS = ["", "actions", "reward", "no noise", "density", "nan", "of the state before", "a smaller noise"]
+NUMBERS = [
+    "",
+    "actions",
+    "reward",
+    "value",
+    "no noise",
+    "density",
+    "a constant",
+    "nan",
+    "of the state before",
+    "a smaller noise",
+]
 """Mistakes that are numbers: all are one program, which compiles for longer than any other test runs."""
 
 
@@ -56,8 +67,18 @@ class Line(StateProblem):
             return state, -1.0, False
         if self.mistake == "two values":
             return moved, -1.0
+        if self.mistake == "python's Boolean":
+            return moved, jnp.ones_like(moved[0]), False
         reward = jnp.where(self.has("reward"), jnp.sqrt(moved[0]), jnp.abs(moved[0]))
         return moved, -reward, moved[0] > 3.0
+
+    def heuristic_value(self, state):
+        value = jnp.where(self.has("value"), jnp.nan, state[0])
+        return value[None] if self.mistake == "values" else value
+
+    def filter(self, key, belief, action, observation):
+        filtered = super().filter(key, belief, action, observation)
+        return filtered[0] if self.mistake == "filter" else filtered
 
     def sketch(self, state):
         return {"x": jnp.stack([state[0]] * 3)} if self.mistake == "sketch" else super().sketch(state)
@@ -76,6 +97,7 @@ class Line(StateProblem):
         wrong = {
             "no noise": jnp.where(offset == 0.0, 0.0, -jnp.inf),
             "density": norm.pdf(offset, 0.0, self.noise),
+            "a constant": -jnp.ones_like(offset),
             "nan": jnp.log(offset),
             "of the state before": norm.logpdf(offset + next_state[0] - 10.0 * state[0], 0.0, self.noise),
             "a smaller noise": norm.logpdf(offset, 0.0, 0.1 * self.noise),
@@ -99,6 +121,8 @@ class Coin(Line):
 
     def log_likelihood(self, observation, state, action, next_state):
         logs = jax.nn.log_softmax(self._logits(next_state))[observation[0].astype(int)]
+        if self.mistake == "the other side":
+            return jax.nn.log_softmax(self._logits(-next_state))[observation[0].astype(int)]
         return {"": logs, "density": jnp.exp(logs), "weights": logs + 0.1}[self.mistake]
 
     def _logits(self, state):
@@ -141,15 +165,18 @@ def test_shipped_problems_would_pass(kind, monkeypatch):
 def test_a_problem_with_a_mistake_is_refused_in_one_line():
     mistakes = (
         ("actions", "actions: a random action is not in the action space"),
-        ("reward", "step: a state or a reward is not finite"),
+        ("reward", "initial or step: a state or a reward is not finite"),
+        ("value", "heuristic_value: the value of a state is not finite"),
         (
             "python's if",
             "a trial call failed: .* traces is used in an if.*jnp.where.*test_state_checks.py, line",
         ),
         ("two values", "step: allowed: three values"),
+        ("filter", "filter: allowed: two values"),
         ("python's random numbers", "not pure: two calls with equal arguments differ"),
         ("a callback", "not pure: two calls with equal arguments differ"),
         ("density", "log_likelihood is never negative, even far from all observations"),
+        ("a constant", "log_likelihood is the same for all observations"),
         ("nan", "log_likelihood is NaN for an observation"),
         ("sketch", "sketch: allowed: a dictionary of vectors, all of 1 number or all of 2"),
         ("of the state before", "log_likelihood does not fit observe"),
@@ -169,8 +196,14 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
 def test_discrete_actions_are_rows_of_numbers():
     message = "^Discrete: allowed: an array with a row of numbers for each action"
     with without_annotation_checks():
-        numbers: list[Any] = [3, jnp.arange(3.0)]
+        numbers: list[Any] = [3, jnp.arange(3.0), jnp.zeros((0, 1))]
         assert_refused([(partial(Discrete, values), message) for values in numbers])
+
+
+def test_bounds_of_a_box_are_two_vectors():
+    with without_annotation_checks():
+        bounds: list[Any] = [(-1.0, 1.0), (jnp.zeros(1), jnp.ones(2))]
+        assert_refused([(partial(Box, *each), "^Box: got .*; allowed: two vectors") for each in bounds])
 
 
 def test_wrong_shapes_are_refused():
@@ -178,8 +211,10 @@ def test_wrong_shapes_are_refused():
         assert_refused(
             (refused(line(name)), f"^problem: Line: .*{message}")
             for name, message in (
-                ("initial", r"initial is float64 of shape \(\); allowed: float64 of shape \(1,\)"),
-                ("observation", r"observe is float64 of shape \(\); allowed: float64 of shape \(1,\)"),
+                ("initial", r"initial is float64 of shape \(\); allowed: a vector of float64"),
+                ("observation", r"observe is float64 of shape \(\); allowed: a vector of float64"),
+                ("values", r"heuristic_value is float64 of shape \(1,\); allowed: .* \(\)"),
+                ("python's Boolean", r"termination of step is bool; allowed: .*; use jnp.asarray\(x\)"),
                 ("one value a reading", r"log_likelihood is float64 of shape \(1,\); allowed: .* \(\)"),
             )
         )
@@ -190,6 +225,11 @@ def test_probabilities_of_finite_observations_sum_to_1():
         (refused(Coin(mistake=name)), f"^problem: Coin: log_likelihood: the probabilities of 3 obs.* {total}")
         for name, total in (("density", "sum to 4"), ("weights", r"sum to 1\.11"))
     )
+
+
+def test_finite_observations_have_the_probabilities_of_their_draws():
+    problem = Coin(mistake="the other side")
+    assert_refused([(refused(problem), "the probability .*, but observe returns it in .*% of draws")])
 
 
 def test_whether_observations_come_again_is_checked():
