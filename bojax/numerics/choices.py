@@ -19,11 +19,13 @@ class Choice(eqx.Module):
 
 
 def one_of(*names: str) -> Callable[["str | Choice"], Choice]:
-    """The converter of a field that takes one of these names."""
+    """The converter of a field that takes one of these names; it raises ValueError for any other."""
 
     def convert(value: "str | Choice") -> Choice:
         if isinstance(value, Choice):
             return value
+        if value not in names:
+            raise ValueError(f'got "{value}"; allowed: {", ".join(names)}')
         return Choice(jnp.asarray(names.index(value), jnp.int32), names)
 
     return convert

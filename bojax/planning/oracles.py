@@ -118,5 +118,7 @@ POLICIES = {
 
 
 def policy_named(policy: Any) -> Any:
-    """The policy of a name; a policy, or None, as it is."""
+    """The policy of a name, or ValueError; a policy, or None, as it is."""
+    if isinstance(policy, str) and policy not in POLICIES:
+        raise ValueError(f'policy: got "{policy}"; allowed: {", ".join(POLICIES)}')
     return POLICIES[policy] if isinstance(policy, str) else policy

@@ -100,7 +100,9 @@ class BeliefStep(eqx.Module):
 
 
 def belief_step_named(name: str | BeliefStep) -> BeliefStep:
-    """The belief MDP in which termination is `observed`, or treated as `published`."""
+    """The belief MDP in which termination is `observed`, or treated as `published`; ValueError otherwise."""
+    if isinstance(name, str) and name not in ("observed", "published"):
+        raise ValueError(f'belief_step: got "{name}"; allowed: observed, published')
     return BeliefStep(name == "published") if isinstance(name, str) else name
 
 

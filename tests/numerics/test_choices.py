@@ -27,7 +27,8 @@ def test_a_choice_stays_when_a_module_is_made_from_another():
     assert bool(Sign(Sign("down").direction).direction.is_("down"))
 
 
-@pytest.mark.parametrize("use", [lambda: Sign("left"), lambda: Sign("up").direction.is_("left")])
-def test_other_names_are_refused(use):
+def test_other_names_are_refused():
+    with pytest.raises(ValueError, match='^got "left"; allowed: up, down$'):
+        Sign("left")
     with pytest.raises(ValueError):
-        use()
+        Sign("up").direction.is_("left")

@@ -11,8 +11,11 @@ import pytest
 from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.planning import oracles
+from bojax.planning.leaf_values import Rollout
+from bojax.planning.pft import BeliefRollout
 from bojax.problems.particles import Particles
 from tests.reference import state_problems as reference
+from tests.refusals import assert_refused
 
 VDP = build(kinds("problem")["vdp-tag"]())
 LIGHT_DARK = build(kinds("problem")["light-dark"]())
@@ -118,3 +121,15 @@ def test_slow_down():
     np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-1.5, 7.5, 0.0])
     states[:, 3:5] = [100.0, 50.0]
     np.testing.assert_allclose(act(oracles.slow_down, problem, belief(states)), [-5.0, 0.0, 0.0])
+
+
+def test_names_of_no_part_are_refused():
+    assert_refused(
+        (
+            (lambda: Rollout("qmpd"), '^policy: got "qmpd"; allowed: to-next-ml, .*, qmdp,'),
+            (
+                lambda: BeliefRollout("seen", "qmdp"),
+                '^belief_step: got "seen"; allowed: observed, published$',
+            ),
+        )
+    )
