@@ -62,6 +62,10 @@ class Problem(eqx.Module):
     # with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
     lanes_on_cpu: ClassVar[int] = 16
 
+    def __check_init__(self) -> None:
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps: got {self.max_steps}; allowed: >= 1")
+
     @property
     @abc.abstractmethod
     def run_columns(self) -> Table:

@@ -193,6 +193,13 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
     )
 
 
+def test_counts_are_positive():
+    assert_refused(
+        (partial(Line, **{name: 0}), f"^{name}: got 0; allowed: >= 1$")
+        for name in ("max_steps", "num_particles")
+    )
+
+
 def test_discrete_actions_are_rows_of_numbers():
     message = "^Discrete: allowed: an array with a row of numbers for each action"
     with without_annotation_checks():
