@@ -1,13 +1,15 @@
 """Trial calls of a user's class before anything runs: JAX traces them, and computes nothing."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from bojax.text import error_at_line, place_of
+
+T = TypeVar("T")
 
 
 def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
@@ -54,6 +56,11 @@ def require(name: str, value: Any, expected: Array) -> None:
 def described(value: Any) -> str:
     """The precision and the shape of an array, or the type of another value."""
     return f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else type(value).__name__
+
+
+def shapes(part: T) -> T:
+    """A part with the shapes and precisions of its arrays in their place: a key of caches of traces."""
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "shape") else x, part)
 
 
 class Misfit(Exception):

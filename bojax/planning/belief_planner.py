@@ -1,6 +1,7 @@
 """Planners on beliefs of particles: their base class, tree searches, and policies without search."""
 
 import abc
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from typing_extensions import override
 
 from bojax.models.checks import is_known
 from bojax.numerics.lanes import TREES
+from bojax.numerics.trial import shapes
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
 from bojax.planning.leaf_values import LeafValue, Policy
@@ -39,16 +41,23 @@ class BeliefPlanner(Planner):
             raise ValueError(f"planner: {type(self).__name__} plans on particles, which {name} does not have")
         check_model(problem)
         try:
-            jax.eval_shape(self._plan_once, problem)
+            _plan_once(shapes(self), shapes(problem))
         except (AttributeError, TypeError, IndexError) as error:
             raise ValueError(
                 f"planner: does not fit the problem: {error}; allowed: policies and proposals for its actions"
             ) from error
 
-    def _plan_once(self, problem: StateProblem) -> Plan:
+
+@functools.lru_cache
+def _plan_once(planner: BeliefPlanner, problem: StateProblem) -> None:
+    """Trace a plan; arrays are given by their shapes, so that points of a sweep share the trace."""
+
+    def plan(planner: BeliefPlanner, problem: StateProblem) -> Plan:
         key_world, key_prior, key_plan = jax.random.split(jax.random.key(0), 3)
-        belief = problem.prior(key_prior, problem.reset(key_world), self.num_samples)
-        return self.plan(key_plan, problem, belief)
+        belief = problem.prior(key_prior, problem.reset(key_world), planner.num_samples)
+        return planner.plan(key_plan, problem, belief)
+
+    eqx.filter_eval_shape(plan, planner, problem)
 
 
 def check_policy(name: str, policy: Policy, problem: Problem) -> None:

@@ -3,6 +3,7 @@
 A mistake in a likelihood gives no error in a run, only a wrong belief: these checks find the usual ones.
 """
 
+import functools
 import re
 from typing import NoReturn
 
@@ -13,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from bojax.models.checks import is_known
-from bojax.numerics.trial import Misfit, described, require, trial
+from bojax.numerics.trial import Misfit, described, require, shapes, trial
 from bojax.problems import particles
 from bojax.problems.actions import ActionSpace
 from bojax.problems.state_space import StateProblem
@@ -194,7 +195,7 @@ def _check_numbers(problem: StateProblem) -> None:
     if not np.all(np.isfinite(sample.observations[used])):
         _refuse("observe: an observation is not finite")
     agree = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), *found)
-    if not all(jax.tree.leaves(agree)) or not _traces_agree(problem):
+    if not all(jax.tree.leaves(agree)) or not _traces_agree(shapes(problem)):
         _refuse("not pure: two calls with equal arguments differ; allowed: random numbers of the key alone")
     own, others = sample.own[used], sample.others[used][:, used]
     if np.any(np.isnan(own)) or np.any(np.isnan(others)):
@@ -278,11 +279,15 @@ def _check_repetition(observations: Float[np.ndarray, "T N O"], is_discrete: boo
         _refuse("has_discrete_observations is True, but no observation comes again; allowed: False")
 
 
+@functools.lru_cache
 def _traces_agree(problem: StateProblem) -> bool:
-    """Whether two traces are the same program: a number from Python's generators is a constant of it."""
+    """Whether two traces are the same program: a number from Python's generators is a constant of it.
+
+    The arrays of `problem` are given by their shapes, so that points of a sweep share the traces.
+    """
     programs = []
     for _ in range(2):
-        program = jax.make_jaxpr(lambda key: _sample(problem, key))(jax.random.key(1))
+        program = eqx.filter_make_jaxpr(_sample)(problem, jax.random.key(1))[0]
         constants = [np.asarray(x).tobytes() for x in program.consts]
         programs.append((re.sub(r"0x[0-9a-f]+", "", str(program)), constants))
     return programs[0] == programs[1]

@@ -1,7 +1,7 @@
 """A state problem of a user's class with a mistake ends in one line before anything runs."""
 
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -141,6 +141,16 @@ class CountedLine(Line):
     has_discrete_observations = True
 
 
+class TracedLine(Line):
+    """A line that counts how often its steps are traced."""
+
+    traces: ClassVar[list[int]] = []
+
+    def step(self, key, state, action):
+        self.traces.append(1)
+        return super().step(key, state, action)
+
+
 def refused(problem):
     return lambda: check_model(problem)
 
@@ -265,3 +275,12 @@ def test_an_episode_checks_its_problem_and_the_action_of_its_policy():
     with pytest.raises(ValueError, match="planner.policy: its action for an initial belief"):
         problem = build(kinds("problem")["light-dark"](moves=(-1, 0, 1)))
         PlanningEpisode(problem, PolicyPlanner("aside-first"))
+
+
+def test_points_of_a_sweep_are_traced_once():
+    still = PolicyPlanner(lambda problem, key, belief: jnp.zeros(1))
+    counts = []
+    for noise in (0.5, 0.4):
+        PlanningEpisode(TracedLine(num_particles=10, noise=jnp.asarray(noise)), still)
+        counts.append(len(TracedLine.traces))
+    assert counts[0] == counts[1] > 0
