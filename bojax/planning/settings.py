@@ -341,7 +341,7 @@ class _BeliefSearch(_Widened, BeliefPlannerSettings, frozen=True):
     )
     merge_lengthscale: float = Field(
         default=0.2,
-        gt=0,
+        ge=1e-6,
         description="distance at which first actions of several trees are alike: parameters of actions are "
         "in [-1, 1], and an angle is a point on the unit circle",
     )

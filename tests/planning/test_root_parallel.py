@@ -8,11 +8,14 @@ import pytest
 
 from bojax.numerics.lanes import LANES
 from bojax.planning.root_parallel import recommended_by_all
+from bojax.planning.settings import POMCPOW
 from bojax.planning.tree import RootActions
 from bojax.problems.actions import Box, Discrete, Mixed
 from tests.planning.belief_searches import belief_of, drift, number, planner, search
 
 ITERATIONS, TREES = 60, 3
+LEAST = 1e-6
+"""The smallest `merge_lengthscale`."""
 
 
 def roots(parameters, visits, returns):
@@ -115,3 +118,12 @@ def test_actions_of_a_list_are_pooled_with_themselves_alone():
     best = recommended(space, some, number(0.2), True)
     assert best.parameters == 1
     assert best.value == pytest.approx(5 / 3, rel=1e-4)
+
+
+def test_the_least_lengthscale_pools_actions_with_themselves_alone():
+    with pytest.raises(ValueError, match="merge_lengthscale"):
+        POMCPOW(merge_lengthscale=0.5 * LEAST)
+    least = jnp.asarray(POMCPOW(merge_lengthscale=LEAST).merge_lengthscale, jnp.float32)
+    some = RootActions(*(jnp.asarray(x, jnp.float32) for x in ([[[0.1]], [[0.2]]], [[1], [2]], [[1], [6]])))
+    best = recommended(Box(-jnp.ones(1, jnp.float32), jnp.ones(1, jnp.float32)), some, least, True)
+    assert (best.visits, best.value) == (2.0, 3.0)
