@@ -24,6 +24,8 @@ _MOST_DISTINCT = 32
 """A set of observations is taken for finite if `_NUM_OBSERVATIONS` draws have at most so many values."""
 _MOST_RATIO = 1000.0
 """Largest mean ratio of densities, see `_check_fit`."""
+_NUM_COMPARED = 16
+"""Number of observations of a transition in such a ratio."""
 _MOST_DIFFERENCE = 0.2
 """Largest difference of a probability and the share of draws; six standard deviations of the share."""
 
@@ -106,8 +108,8 @@ class _Sample(eqx.Module):
     is_inside: Bool[Array, "T"]  # whether the action is in the action space
     observations: Float[Array, "T N O"]
     own: Float[Array, "T N"]  # log likelihood of the observations
-    # Log likelihood of one observation of each transition, given each other transition
-    others: Float[Array, "T T"]
+    # Log likelihood of the first observations of each transition, given each other transition
+    others: Float[Array, "T T C"]
     far: Float[Array, "T F"]  # log likelihood of observations far from all others
     has_collapsed: Bool[Array, "W"]  # whether no particle explains the first observation of a walk
 
@@ -144,8 +146,9 @@ def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
 
     keys = jax.random.split(observe_key, states.shape[0])
     observations = jax.vmap(observe)(keys, states, actions, following)
-    of_own = jax.vmap(jax.vmap(problem.log_likelihood, (0, None, None, None)))
-    of_all = jax.vmap(jax.vmap(problem.log_likelihood, (None, 0, 0, 0)), (0, None, None, None))
+    of_several = jax.vmap(problem.log_likelihood, (0, None, None, None))
+    of_own = jax.vmap(of_several)
+    of_all = jax.vmap(jax.vmap(of_several, (None, 0, 0, 0)), (0, None, None, None))
     distance = 1e3 * (1.0 + jnp.max(observations, axis=(0, 1)) - jnp.min(observations, axis=(0, 1)))
     far = observations[:, :2] + jnp.stack([distance, -distance])[None]
 
@@ -166,7 +169,7 @@ def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
         jax.vmap(problem.actions.contains)(actions),
         observations,
         of_own(observations, states, actions, following),
-        of_all(observations[:, 0], states, actions, following),
+        of_all(observations[:, :_NUM_COMPARED], states, actions, following),
         of_own(far, states, actions, following),
         jax.vmap(has_collapsed)(
             jax.random.split(particle_key, _NUM_WALKS), actions[first], observations[first, 0]
@@ -208,14 +211,14 @@ def _check_numbers(problem: StateProblem) -> None:
             "allowed: an observation with noise, or finitely many observations"
         )
     _check_logarithm(sample.observations[used], own, others, sample.far[used])
-    _check_fit(own[:, 0], others)
+    _check_fit(own[:, None, :_NUM_COMPARED], others)
     _check_repetition(sample.observations[used], problem.has_discrete_observations)
 
 
 def _check_logarithm(
     observations: Float[np.ndarray, "T N O"],
     own: Float[np.ndarray, "T N"],
-    others: Float[np.ndarray, "T T"],
+    others: Float[np.ndarray, "T T C"],
     far: Float[np.ndarray, "T F"],
 ) -> None:
     """Refuse a likelihood in place of its logarithm, and one that does not depend on observations."""
@@ -249,15 +252,16 @@ def _check_logarithm(
         _refuse("log_likelihood is the same for all observations; allowed: a density of the observation")
 
 
-def _check_fit(own: Float[np.ndarray, "T"], others: Float[np.ndarray, "T T"]) -> None:
+def _check_fit(own: Float[np.ndarray, "T 1 C"], others: Float[np.ndarray, "T T C"]) -> None:
     """Refuse a likelihood under which observations come from other transitions than those that made them.
 
-    For an observation of transition i, the ratio of its density after any transition to that after i has an
-    expectation of at most 1. By Markov's inequality, their mean exceeds 1,000 for one correct problem in
-    1,000 at most.
+    For independent observations of transition i, the ratio of their joint density after any transition to
+    that after i has an expectation of at most 1. By Markov's inequality, the mean of these ratios exceeds
+    1,000 for one correct problem in 1,000 at most.
     """
     with np.errstate(invalid="ignore"):
-        ratio = np.logaddexp.reduce(others - own[:, None], axis=None) - np.log(others.size)
+        logs = np.nan_to_num(np.sum(others - own, axis=-1), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+    ratio = np.logaddexp.reduce(logs, axis=None) - np.log(logs.size)
     if ratio > np.log(_MOST_RATIO):
         _refuse(
             "log_likelihood does not fit observe: observations are likelier after other steps than after the "

@@ -99,7 +99,7 @@ class Line(StateProblem):
             "density": norm.pdf(offset, 0.0, self.noise),
             "a constant": -jnp.ones_like(offset),
             "nan": jnp.log(offset),
-            "of the state before": norm.logpdf(offset + next_state[0] - 10.0 * state[0], 0.0, self.noise),
+            "of the state before": norm.logpdf(observation[0], state[0], self.noise),
             "a smaller noise": norm.logpdf(offset, 0.0, 0.1 * self.noise),
         }
         return jnp.stack([wrong.get(name, right) for name in NUMBERS])[self.number]
