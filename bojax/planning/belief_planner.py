@@ -21,6 +21,7 @@ from bojax.planning.oracles import policy_named
 from bojax.planning.root_parallel import recommended_by_all
 from bojax.planning.tree import Tree
 from bojax.problems import particles
+from bojax.problems.actions import Discrete
 from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
 from bojax.problems.state_checks import check_model
@@ -107,8 +108,8 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
     """A planner that searches a tree of beliefs about the state of a `StateProblem`."""
 
     leaf_value: LeafValue  # estimate of the value of a new belief
-    # Policy that gives the first action of the root; None to propose it as the others. Not used if the space
-    # is discrete
+    # Policy that gives the first action of the root, in a space that is not discrete; None to propose it as
+    # the others
     first_action: Policy | None = eqx.field(static=True, converter=policy_named)
     # Number of independent trees of a plan, each of `iterations` simulations
     trees: int = eqx.field(static=True)
@@ -119,6 +120,10 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
     def check(self, problem: Problem) -> None:
         super().check(problem)
         if self.first_action is not None:
+            if isinstance(problem, StateProblem) and isinstance(problem.actions, Discrete):
+                raise ValueError(
+                    "planner.first_action: got a policy; allowed: null, since all actions of a list are tried"
+                )
             check_policy("planner.first_action", self.first_action, problem)
 
     @override

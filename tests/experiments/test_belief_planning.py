@@ -113,6 +113,7 @@ def test_a_planner_that_needs_what_the_problem_lacks_is_refused():
             "planner.leaf_value: got state-value; allowed: a problem with a heuristic_value",
         ),
         ("light-dark planner=pomcpow planner.leaf_value.policy=to-next-ml", "does not fit the problem"),
+        ("light-dark planner.first_action=qmdp", "planner.first_action: got a policy; allowed: null"),
         (
             "vdp-tag planner=vomcpow planner.proposal.variance=[1,1,1]",
             "planner.proposal.variance: got 3 numbers; allowed: 1, or 2",
