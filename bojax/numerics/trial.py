@@ -1,6 +1,7 @@
 """Trial calls of a user's class before anything runs: JAX traces them, and computes nothing."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import jax
@@ -24,11 +25,16 @@ def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
     """
-    name = type(part).__name__
-    if type(part).__module__.startswith("bojax."):
-        return
+    if not type(part).__module__.startswith("bojax."):
+        with trial_of(type(part).__name__):
+            jax.eval_shape(check, part, *arguments)
+
+
+@contextlib.contextmanager
+def trial_of(name: str) -> Iterator[None]:
+    """Raise what goes wrong in a trial call of a user's class as a ValueError of one line."""
     try:
-        jax.eval_shape(check, part, *arguments)
+        yield
     except Misfit as error:
         raise ValueError(f"{name}: {error}") from error
     except jax.errors.ConcretizationTypeError as error:  # its message is long, and about JAX

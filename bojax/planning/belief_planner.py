@@ -2,6 +2,7 @@
 
 import abc
 import functools
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from typing_extensions import override
 
 from bojax.models.checks import is_known
 from bojax.numerics.lanes import TREES
-from bojax.numerics.trial import shapes
+from bojax.numerics.trial import Misfit, described, require, shapes, trial_of
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
 from bojax.planning.leaf_values import LeafValue, Policy
@@ -41,9 +42,11 @@ class BeliefPlanner(Planner):
             name = type(problem).__name__
             raise ValueError(f"planner: {type(self).__name__} plans on particles, which {name} does not have")
         check_model(problem)
+        is_own = not type(self).__module__.startswith("bojax.")
         try:
-            _plan_once(shapes(self), shapes(problem))
-        except (AttributeError, TypeError, IndexError) as error:
+            with trial_of(f"planner: {type(self).__name__}") if is_own else nullcontext():
+                _plan_once(shapes(self), shapes(problem))
+        except (AttributeError, TypeError, IndexError, Misfit) as error:
             raise ValueError(
                 f"planner: does not fit the problem: {error}; allowed: policies and proposals for its actions"
             ) from error
@@ -53,12 +56,18 @@ class BeliefPlanner(Planner):
 def _plan_once(planner: BeliefPlanner, problem: StateProblem) -> None:
     """Trace a plan; arrays are given by their shapes, so that points of a sweep share the trace."""
 
-    def plan(planner: BeliefPlanner, problem: StateProblem) -> Plan:
-        key_world, key_prior, key_plan = jax.random.split(jax.random.key(0), 3)
+    def check(planner: BeliefPlanner, problem: StateProblem) -> None:
+        key_world, key_prior, key_plan, key_action = jax.random.split(jax.random.key(0), 4)
         belief = problem.prior(key_prior, problem.reset(key_world), planner.num_samples)
-        return planner.plan(key_plan, problem, belief)
+        plan = planner.plan(key_plan, problem, belief)
+        if not isinstance(plan, Plan):
+            raise Misfit(f"plan returns {described(plan)}; allowed: a Plan")
+        action = problem.actions.decode(problem.actions.sample(key_action))
+        require("Plan.action", plan.action, action)
+        require("Plan.value", plan.value, problem.discount)
+        require("Plan.visits", plan.visits, jnp.zeros((), jnp.int32))
 
-    eqx.filter_eval_shape(plan, planner, problem)
+    eqx.filter_eval_shape(check, planner, problem)
 
 
 def check_policy(name: str, policy: Policy, problem: Problem) -> None:

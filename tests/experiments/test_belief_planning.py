@@ -20,7 +20,7 @@ from bojax.experiments.planning import PlanningEpisode
 from bojax.numerics.lanes import LANES
 from bojax.planning import oracles
 from bojax.planning.base import Plan, Planner
-from bojax.planning.belief_planner import PolicyPlanner
+from bojax.planning.belief_planner import BeliefPlanner, PolicyPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.problems import particles
 from bojax.problems.actions import Box
@@ -28,7 +28,7 @@ from bojax.problems.pomdp.sub_hunt import ENGAGE
 from bojax.problems.state_space import StateProblem
 from tests.motions.families import kernel
 from tests.planning.samples import parking
-from tests.refusals import assert_refused
+from tests.refusals import assert_refused, without_annotation_checks
 from tests.tiers import by_tier
 
 SMALL = ["planner.iterations=12", "problem.num_particles=64", "problem.max_steps=6", "planner.depth=4"]
@@ -213,6 +213,35 @@ class Forward(Planner):
 def test_any_planner_runs_on_a_state_problem():
     run = PlanningEpisode(Counter(num_particles=8), Forward())
     assert summaries(run, jax.random.split(jax.random.key(0), 1))["return"][0] == 1 + 2 + 3 + 4
+
+
+class Mistaken(BeliefPlanner):
+    """A user's planner with a mistake."""
+
+    mistake: str = eqx.field(static=True)
+
+    @override
+    def plan(self, key, problem, belief):
+        if self.mistake == "if" and belief.mean[0] > 0.0:
+            return None
+        if self.mistake == "no plan":
+            return jnp.ones(1)
+        if self.mistake == "an exception":
+            raise KeyError("position")
+        return Plan(jnp.ones(2), None, jnp.zeros(()), jnp.ones((), jnp.int32))
+
+
+def test_a_planner_with_a_mistake_is_refused_in_one_line():
+    with without_annotation_checks():
+        assert_refused(
+            (partial(PlanningEpisode, Counter(), Mistaken(mistake)), f"^planner: Mistaken: {message}")
+            for mistake, message in (
+                ("if", "a trial call failed: .* traces is used in an if.*test_belief_planning.py, line"),
+                ("no plan", r"plan returns float64 of shape \(1,\); allowed: a Plan"),
+                ("an exception", "a trial call failed: KeyError: 'position' .*test_belief_planning.py, line"),
+                ("two numbers", r"Plan.action is float64 of shape \(2,\); allowed: float64 of shape \(1,\)"),
+            )
+        )
 
 
 def test_planners_and_problems_with_other_actions_are_refused():
