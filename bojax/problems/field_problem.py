@@ -114,6 +114,7 @@ class FieldProblem(PathProblem):
         if self.end is not None and has_obstacles and self.ways is None:
             self.ways = ways_around(self.end, self.domain, self.walls, self.area)
 
+    @override
     def __check_init__(self):
         """Check that kernel, mean, sensor, field and vehicle fit together, or raise ValueError."""
         check_takes("kernel", self.kernel, 2, 2, self.domain.dtype, "the coordinates of the plane")

@@ -46,6 +46,7 @@ class PoseProblem(PathProblem):
     heading_noise: eqx.AbstractVar[Float[Array, ""]]
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
 
+    @override
     def __check_init__(self):
         """Call `start` and `outcome` of a user's problem, or raise ValueError."""
         trial(self, _check_path, jax.random.key(0))

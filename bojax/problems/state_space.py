@@ -67,6 +67,7 @@ class StateProblem(StateModel, Problem):
     num_particles: int = eqx.field(static=True, default=10_000, kw_only=True)
     samples_belief: ClassVar[bool] = True
 
+    @override
     def __check_init__(self):
         """Check the number of particles, or raise ValueError."""
         if self.num_particles < 1:
