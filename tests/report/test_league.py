@@ -61,6 +61,7 @@ def test_aims_are_not_reached_where_a_rival_is_better(tmp_path):
 def test_an_aim_that_is_not_reached_stands_with_its_reason(tmp_path):
     write_league(tmp_path, lambda field, method, start: 0.8 if method == "lawnmower" else 1.0, seconds=9.0)
     html, text = (path.read_text() for path in write_pages(tmp_path))
+    assert text.count("\n\nWhy aims are not reached, or inconclusive:\n\n- ") == 1
     for aim in judged(League.read(tmp_path)):
         assert aim.reason
         (row,) = (line for line in text.splitlines() if line.startswith(f"| {aim.short}: "))
@@ -99,6 +100,7 @@ def test_pages_have_every_aim_and_table(tmp_path):
     for aim in judged(League.read(tmp_path)):
         assert aim.title in html
     assert "| one | 0.520 | 1.020 |  | 1.020 | 1.020 | 1.020 |" in text
+    assert "Why aims are not reached" not in html + text
     assert (tmp_path / "figures" / "surveys-league-ratios.svg").exists()
 
 
