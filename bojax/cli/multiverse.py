@@ -47,7 +47,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
             code, folders = _run(declaration, numbers, None, None, folder, args, command)
             if folders is None:
                 return code
-            multiverse = extended(multiverse, evaluated(declaration, folders, numbers))
+            multiverse = extended(multiverse, declaration, evaluated(declaration, folders, numbers))
             write(out, multiverse)
         if multiverse.best is not None and multiverse.confirmed is None:
             code, multiverse = _confirm(declaration, multiverse, out / "confirm", args, command)

@@ -237,11 +237,11 @@ def test_the_best_configuration_has_most_claims_and_is_then_nearest_to_the_print
     assert outcomes.best_of(universe(first, second, variant)) == 2  # only claims count
 
 
-def test_variants_in_a_file_of_an_earlier_version_end_where_it_goes_on():
+def test_variants_in_a_file_of_an_earlier_version_end_where_it_goes_on(paper):
     made = universe(claim("a", "rrr"), claim("b", "nnn", entry_class="variant"))
     entry = {"test": {}, "interval": None, "ours": None, "verdict": "not reproduced"}
     begun = made.model_copy(update={"done": [0, 1, 2]})
-    found = outcomes.extended(begun, {3: [(claim("a", "r"), "own", entry)]})
+    found = outcomes.extended(begun, declared(str(paper)), {3: [(claim("a", "r"), "own", entry)]})
     assert [(each.id, each.verdicts) for each in found.claims] == [("a", "rrrn")]
 
 
@@ -251,6 +251,20 @@ def test_strength_and_the_effect_of_each_choice():
     found = outcomes.effects(universe(*claims), claims[1])
     assert [each.estimate for each in found["rate"]] == [0.0, 0.5]
     assert claims[1].share().estimate == 0.25 and claims[1].share().low > 0
+    assert list(outcomes.effects(universe(*claims), claim("b", "nnnr", choices=["cap"]))) == ["cap"]
+
+
+def test_choices_concern_the_claims_whose_points_they_change():
+    concerned = declared("5.7").concerned
+    assert concerned["fig-5.6b/emu-q-linear"] == ["chain-features", "chain-alpha"]
+    assert concerned["table-5.3-mountain-car/emu-q-success"] == [
+        "refit",
+        "terminal-u",
+        "starts",
+        "mountain-car-actions",
+        "mountain-car-goal",
+    ]
+    assert "rff-rate" in concerned["table-5.3-mountain-car/similar"]
 
 
 def test_the_page_of_every_kind(tmp_path):

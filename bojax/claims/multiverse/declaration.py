@@ -11,11 +11,12 @@ import pydantic
 from pydantic import Field
 
 from bojax.claims.multiverse.designs import fractional, grid, random
+from bojax.config.claims import Claim
 from bojax.config.component import Schema
 from bojax.config.errors import ConfigError, dotted, from_validation, listed, shown
 from bojax.config.files import SUFFIXES, display, find, shipped
 from bojax.config.overrides import SOURCE
-from bojax.config.sweep import Setting, Sweep, vary
+from bojax.config.sweep import Point, Setting, Sweep, vary
 from bojax.config.yaml_file import read_mapping
 
 AXIS = "configuration"
@@ -162,6 +163,33 @@ class Declaration:
         except ValueError as error:
             raise ConfigError(f"{display(self.path)}: design: {error}") from error
 
+    @cached_property
+    def concerned(self) -> dict[str, list[str]]:
+        """The choices that change a point that a claim compares, by the id of the claim."""
+        found: dict[str, list[str]] = {}
+        for source in self.file.sweeps:
+            tried, sweep = self.one_at_a_time(source)
+            for claim in sweep.claims:
+                numbers = [point.swept[AXIS].split() for point in sweep.points if _compares(claim, point)]
+                changed = {number for each in numbers if "0" not in each for number in each}
+                choices = [name for number, (name, _) in tried.items() if str(number) in changed]
+                found[claim.id] = list(dict.fromkeys(choices))
+        return found
+
+    def one_at_a_time(self, source: str) -> tuple[dict[int, tuple[str, int]], Sweep]:
+        """One of the sweeps under each value of each choice, all other choices as in the sweep.
+
+        Returns the choice and the value of each configuration, from 1, and the sweep; 0 is the sweep's own.
+        """
+        choices = self.file.choices.items()
+        values = [(name, level) for name, choice in choices for level in range(len(choice.values))]
+        tried = dict(enumerate(values, start=1))
+        variations = {
+            number: self.file.choices[name].settings(level, source, f"{display(self.path)}: choices.{name}")
+            for number, (name, level) in tried.items()
+        }
+        return tried, _with_claims_alone(vary(self.source_of(source), AXIS, {0: [], **variations}))
+
     def settings(self, sweep: str, levels: Sequence[int]) -> list[Setting]:
         """The settings of a configuration of one of the sweeps."""
         return [
@@ -211,8 +239,7 @@ class Declaration:
 def _with_claims_alone(sweep: Sweep) -> Sweep:
     """A sweep without its variants and checks, and without the points that no claim compares."""
     claims = tuple(claim for claim in sweep.claims if claim.entry_class == "claim")
-    compared = {(claim.test.by, name) for claim in claims for name in claim.test.names}
-    kept = [each for each in sweep.points if {("label", each.label), ("variant", each.variant)} & compared]
+    kept = [point for point in sweep.points if any(_compares(claim, point) for claim in claims)]
     if not kept:
         raise ConfigError(f"{display(sweep.source)}: claims: none is of class claim; allowed: at least one")
     return replace(
@@ -221,6 +248,10 @@ def _with_claims_alone(sweep: Sweep) -> Sweep:
         points=tuple(replace(point, index=index) for index, point in enumerate(kept)),
         locate=lambda index, location: sweep.locate(kept[index].index, location),
     )
+
+
+def _compares(claim: Claim, point: Point) -> bool:
+    return (point.label if claim.test.by == "label" else point.variant) in claim.test.names
 
 
 def declared(source: str) -> Declaration:
@@ -273,16 +304,7 @@ def _check_choices(declaration: Declaration, where: str) -> None:
         if any(choice.settings(level, source, name) for source in sweeps)
     }
     for source in sweeps:
-        sweep = declaration.source_of(source)
-        number = 0
-        tried: dict[int, tuple[str, int]] = {}
-        variations: dict[int, list[Setting]] = {0: []}
-        for name, choice in declaration.file.choices.items():
-            for level in range(len(choice.values)):
-                number += 1
-                tried[number] = name, level
-                variations[number] = choice.settings(level, source, f"{where}: choices.{name}")
-        varied = _with_claims_alone(vary(sweep, AXIS, variations))
+        tried, varied = declaration.one_at_a_time(source)
         points = [(point.swept[AXIS].split(), point.variant) for point in varied.points]
         for number, (name, level) in tried.items():
             changed = [

@@ -131,9 +131,9 @@ def effect_map(multiverse: Multiverse) -> Drawing:
     claims, choices = multiverse.counted, list(multiverse.declaration["choices"])
     table = np.full((len(claims), len(choices)), np.nan)
     for row, claim in enumerate(claims):
-        for column, intervals in enumerate(effects(multiverse, claim).values()):
+        for name, intervals in effects(multiverse, claim).items():
             found = [each.estimate for each in intervals if np.isfinite(each.estimate)]
-            table[row, column] = max(found) - min(found) if found else np.nan
+            table[row, choices.index(name)] = max(found) - min(found) if found else np.nan
     figure, grid = style.figure(1.9 + 0.24 * len(claims))
     axes = grid[0, 0]
     image = axes.imshow(table, cmap="cividis", vmin=0, vmax=1, aspect="auto")
@@ -150,7 +150,8 @@ def effect_map(multiverse: Multiverse) -> Drawing:
         figure=figure,
         title="Which choice decides which claim",
         caption="For each choice, the share of configurations in which a claim holds under its most "
-        "favourable value, less that under its least favourable one.",
+        "favourable value, less that under its least favourable one. Empty: the choice does not concern the "
+        "claim.",
         alt="Map of the effect of each choice on the share of configurations in which each claim holds.",
     )
 

@@ -45,6 +45,7 @@ class ClaimOutcomes(Recorded):
     low: list[float | None] = []  # bounds of its interval
     high: list[float | None] = []
     ours: list[float | None] = []  # counterpart of a printed number
+    choices: list[str] | None = None  # those that can change it; None if a file does not say so
 
     def share(self, mask: NDArray[np.bool_] | None = None) -> statistics.Interval:
         """The share of the configurations in which the claim holds, with Wilson's interval."""
@@ -136,11 +137,27 @@ def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
         )
     if declaration is not None:  # texts may have been written since
         told = {"title": declaration.file.title, "reading": declaration.file.reading.strip()}
-        found = found.model_copy(update=told)
+        claims = [
+            claim.model_copy(update={"choices": declaration.concerned.get(claim.id)})
+            for claim in found.claims
+        ]
+        found = found.model_copy(update=told | {"claims": claims})
     lengths = {len(each) for claim in found.claims for each in (claim.verdicts, claim.estimates, claim.ours)}
     if lengths - {len(found.done)}:
         raise ResultsError(f"{path}: is damaged: delete it, and run again with --resume")
     return found
+
+
+def _described(multiverse: Multiverse, declaration: Declaration) -> Multiverse:
+    """The outcomes with what the declaration says of them, which may have been written since."""
+    claims = [
+        claim.model_copy(update={"choices": declaration.concerned.get(claim.id)})
+        for claim in multiverse.claims
+    ]
+    file = declaration.file
+    return multiverse.model_copy(
+        update={"title": file.title, "reading": file.reading.strip(), "claims": claims}
+    )
 
 
 def found_below(folders: Iterable[Path]) -> list[Multiverse]:
@@ -216,7 +233,9 @@ def configuration_of(results: Results, number: int) -> Results:
 
 
 def extended(
-    multiverse: Multiverse, found: Mapping[int, Iterable[tuple[Claim, str, dict[str, Any]]]]
+    multiverse: Multiverse,
+    declaration: Declaration,
+    found: Mapping[int, Iterable[tuple[Claim, str, dict[str, Any]]]],
 ) -> Multiverse:
     """The outcomes with those of further configurations."""
     # Files of earlier versions have variants and checks, which further configurations do not test.
@@ -247,7 +266,7 @@ def extended(
             zip(("estimates", "low", "high", "ours"), map(list, zip(*numbers, strict=True)), strict=True)
         )
         claims.append(claim.model_copy(update={"verdicts": "".join(verdicts), **columns}))
-    extended = multiverse.model_copy(update={"done": order, "claims": claims})
+    extended = _described(multiverse.model_copy(update={"done": order, "claims": claims}), declaration)
     if len(order) == len(multiverse.configurations):
         extended = extended.model_copy(update={"best": best_of(extended)})
     return extended
@@ -314,10 +333,16 @@ def distance(claims: Iterable[ClaimOutcomes], place: int) -> float:
 
 
 def effects(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, list[statistics.Interval]]:
-    """The share of configurations in which a claim holds, for each value of each choice."""
+    """The share of configurations in which a claim holds, for each value of each choice that concerns it.
+
+    In a fraction of all combinations, choices are confounded with each other: one that concerns other sweeps
+    alone would seem to have an effect.
+    """
     levels = multiverse.levels
     found = {}
     for column, (name, choice) in enumerate(multiverse.declaration["choices"].items()):
+        if claim.choices is not None and name not in claim.choices:
+            continue
         sizes = range(len(choice["values"]))
         found[name] = [
             claim.share(levels[:, column] == level)

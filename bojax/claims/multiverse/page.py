@@ -115,12 +115,10 @@ def _source(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
 def _decisive(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
     """The choice with the largest effect on a claim, in words; empty if none has one."""
     best = ("", 0.0, "")
-    for (name, choice), intervals in zip(
-        multiverse.declaration["choices"].items(), effects(multiverse, claim).values(), strict=True
-    ):
+    for name, intervals in effects(multiverse, claim).items():
         known = [
             (each.estimate, value)
-            for each, value in zip(intervals, choice["values"], strict=True)
+            for each, value in zip(intervals, multiverse.declaration["choices"][name]["values"], strict=True)
             if math.isfinite(each.estimate)
         ]
         if (
