@@ -13,7 +13,7 @@ from typing_extensions import override
 from bojax.api.results import Picture
 from bojax.optimisation.drawing import draw_progress, draw_slice
 from bojax.optimisation.search import Search
-from bojax.optimisation.space import Axis, checked_point, slice_along
+from bojax.optimisation.space import VALUE, Axis, Range, checked_point, slice_along
 from bojax.report import style
 from bojax.report.drawing.base import panel_grid
 
@@ -76,10 +76,8 @@ class OptimisationResult:
     @property
     def table(self) -> pa.Table:
         """All evaluations in order: a column for each axis, and `value`."""
-        columns = {
-            axis.key: [_plain(each.point[axis.key]) for each in self.evaluations] for axis in self.axes
-        }
-        return pa.table({**columns, "value": [each.value for each in self.evaluations]})
+        columns = {axis.key: self._column(axis) for axis in self.axes}
+        return pa.table({**columns, VALUE: [each.value for each in self.evaluations]})
 
     def predict(self, points: Sequence[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of the function at points, without noise.
@@ -132,6 +130,15 @@ class OptimisationResult:
         alt = f"Best value {self.value:.4g} of {len(self.evaluations)} evaluations."
         return Picture(figure, "Optimisation", caption, alt, png)
 
+    def _column(self, axis: Axis) -> list[Any]:
+        """The values of an axis; as text if its choices are neither all numbers nor all texts."""
+        values = [each.point[axis.key] for each in self.evaluations]
+        is_plain = isinstance(axis, Range) or any(
+            all(isinstance(value, kind) and not isinstance(value, bool) for value in axis.values)
+            for kind in (int | float, str)
+        )
+        return values if is_plain else list(map(str, values))
+
     @cached_property
     def _best(self) -> int | None:
         finite = [index for index, each in enumerate(self.evaluations) if each.is_finite()]
@@ -142,8 +149,3 @@ class OptimisationResult:
         if self.is_noisy:
             values = self.predict([self.evaluations[index].point for index in finite])[0].tolist()
         return min(zip((sign * value for value in values), finite, strict=True))[1]
-
-
-def _plain(value: Any) -> Any:
-    """A value as an Arrow column of one type can have it; choices may be of several types."""
-    return value if isinstance(value, int | float | str) and not isinstance(value, bool) else str(value)

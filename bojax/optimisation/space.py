@@ -16,6 +16,12 @@ NUM_SLICE = 101
 SIGNIFICANT = 6
 """Significant digits of a proposed number, so that proposals stay readable."""
 
+END = 2**53
+"""The magnitude below which float64 represents every integer."""
+
+VALUE = "value"
+"""The column of values in a table of evaluations, the others being those of the axes."""
+
 LOG = "log"
 """The third element of a range whose values are searched on a logarithmic scale."""
 
@@ -76,11 +82,9 @@ class Range:
 
     def _readable(self, value: float) -> float:
         """A number of few digits; of a range that is narrow beside its bounds, digits of its width."""
-        digits = SIGNIFICANT
-        if not self.is_log:
-            largest = max(abs(self.low), abs(self.high))
-            digits += max(0, math.floor(math.log10(largest / (self.high - self.low))))
-        return float(f"{value:.{digits}g}")
+        largest = max(abs(self.low), abs(self.high))
+        spare = max(0, math.floor(math.log10(largest / (self.high - self.low))))
+        return float(f"{value:.{SIGNIFICANT + spare}g}")
 
 
 @dataclass(frozen=True)
@@ -163,8 +167,8 @@ def read_space(space: Mapping[str, Any]) -> tuple[Axis, ...]:
 
 
 def _axis(name: Any, given: Any) -> Axis:
-    if not isinstance(name, str):
-        raise SpaceError(f"space: got the name {shown(name)}; allowed: text")
+    if not isinstance(name, str) or name == VALUE:
+        raise SpaceError(f"space: got the name {shown(name)}; allowed: any other text")
     if isinstance(given, list):
         return _choice(name, given)
     wrong = SpaceError(
@@ -173,14 +177,16 @@ def _axis(name: Any, given: Any) -> Axis:
     )
     if not isinstance(given, tuple) or len(given) not in (2, 3) or (len(given) == 3 and given[2] != LOG):
         raise wrong
-    low, high, is_log = given[0], given[1], len(given) == 3
-    if _number_of(low) is None or _number_of(high) is None:
+    low, high, is_log = _number_of(given[0]), _number_of(given[1]), len(given) == 3
+    if low is None or high is None:
         raise wrong
     if not (math.isfinite(low) and math.isfinite(high) and low < high and math.isfinite(high - low)):
         raise SpaceError(f"{name}: got {low:g} and {high:g}; allowed: low < high, both finite")
     if is_log and low <= 0:
         raise SpaceError(f"{name}: got {low:g}; allowed: > 0, for the logarithm")
-    are_integers = isinstance(low, Integral) and isinstance(high, Integral)
+    are_integers = isinstance(given[0], Integral) and isinstance(given[1], Integral)
+    if are_integers and max(abs(low), abs(high)) >= END:
+        raise SpaceError(f"{name}: got {shown(given)}; allowed: integers below 2^53 in magnitude")
     number = int if are_integers else float
     return Range(name, number(low), number(high), is_log, are_integers)
 
@@ -191,11 +197,16 @@ def _choice(name: str, given: list[Any]) -> Choice:
     for each in given:
         if not isinstance(each, Hashable):
             raise SpaceError(f"{name}: got {shown(each)}; allowed: choices such as texts and numbers")
-    if len({(type(each), each) for each in given}) < len(given):
-        raise SpaceError(f"{name}: got {shown(given)}; allowed: choices that differ")
+    if len(set(given)) < len(given):
+        raise SpaceError(f"{name}: got {shown(given)}; allowed: choices that differ, unlike 1 and True")
     return Choice(name, tuple(given))
 
 
 def _number_of(value: Any) -> float | None:
     """A number, also one of NumPy; None for anything else."""
-    return float(value) if isinstance(value, Real) and not isinstance(value, bool) else None
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return None
+    try:
+        return float(value)
+    except OverflowError:  # an integer beyond the floats, outside of every range
+        return math.inf

@@ -34,7 +34,10 @@ def test_a_wrong_space_is_refused_in_one_line():
         ({"x": (0, 8, "log")}, "x: got 0; allowed: > 0"),
         *(({"x": value}, "a tuple") for value in ((1, 8, "lin"), ("a", "b"), (False, True), 3)),
         ({"x": ["a"]}, "at least two choices"),
-        ({"x": ["a", "a"]}, "choices that differ"),
+        *(({"x": [*pair]}, "choices that differ") for pair in (("a", "a"), (1, 1.0), (1, True))),
+        ({"value": (0.0, 1.0)}, 'space: got the name "value"; allowed: any other'),
+        ({"x": (0, 2**53 + 1)}, "allowed: integers below"),
+        ({"x": (0.0, 10**400)}, "x: got 0 and inf; allowed: low < high, both finite"),
         ({"x": [[1], [2]]}, "choices such as texts"),
     ]
     assert_refused([(partial(read_space, space), message) for space, message in wrong], SpaceError)
@@ -47,6 +50,13 @@ def test_values_of_a_user_are_checked():
     for axis, value in ((rate, 0.0), (rate, "1"), (depth, 2.5), (depth, 9), (depth, True), (kind, 2.0)):
         with pytest.raises(SpaceError, match=f"{axis.key}: got"):
             axis.checked(value)
+
+
+@pytest.mark.parametrize("scale", [(), ("log",)])
+def test_a_narrow_range_has_many_values(scale):
+    (axis,) = read_space({"x": (100.0, 100.0001, *scale)})
+    positions = np.linspace(*axis.box, 1000)
+    assert len({axis.value([position]) for position in positions.tolist()}) > 990
 
 
 @pytest.mark.parametrize("axis", read_space(SPACE), ids=lambda axis: axis.key)
