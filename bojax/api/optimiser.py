@@ -1,7 +1,7 @@
 """Bayesian optimisation of a function of the user's: `minimise`, `maximise`, and step by step."""
 
+import copy
 import math
-import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -12,6 +12,7 @@ from bojax.api.errors import BojaxError
 from bojax.api.optimisation import Evaluation, OptimisationResult
 from bojax.config.errors import shown
 from bojax.engine.bar import Bar
+from bojax.models.checks import check_count, check_flag
 from bojax.optimisation.search import Search, Values
 from bojax.optimisation.space import checked_point, read_space
 from bojax.text import error_line
@@ -70,15 +71,20 @@ class Optimiser:
 
         Raises:
             SpaceError: The space is wrong; a `ValueError`.
-            ValueError: A number is too small, or the seed is not an integer.
+            ValueError: Another argument is wrong.
         """
         self._axes = read_space(space)
-        self._sign, self._is_noisy = (1.0 if maximise else -1.0), bool(noisy)
-        self._seed = _integer("seed", seed)
-        self._batch = _count("batch", batch)
-        self._initial = min(16, 2 + 2 * len(self._axes)) if initial is None else _count("initial", initial)
+        self._sign = 1.0 if check_flag("maximise", maximise) else -1.0
+        self._is_noisy = check_flag("noisy", noisy)
+        self._seed = check_count("seed", seed, 0)
+        if self._seed >= 2**63:
+            raise ValueError(f"seed: got {shown(seed)}; allowed: below 2^63")
+        self._batch = check_count("batch", batch, 1)
+        self._initial = (
+            min(16, 2 + 2 * len(self._axes)) if initial is None else check_count("initial", initial, 1)
+        )
         self._evaluations: list[Evaluation] = []
-        self._search = self._new(max(LEAST_CAPACITY, _count("capacity", capacity)))
+        self._search = self._new(max(LEAST_CAPACITY, check_count("capacity", capacity, 1)))
 
     @property
     def batch(self) -> int:
@@ -102,7 +108,7 @@ class Optimiser:
         Raises:
             ValueError: `number` is above `batch`.
         """
-        if not 1 <= number <= self._batch:
+        if check_count("number", number, 1) > self._batch:
             raise ValueError(f"number: got {number}; allowed: from 1 to {self._batch}, the batch")
         names = [axis.key for axis in self._axes]
         return [dict(zip(names, values, strict=True)) for values in self._search.propose(number)]
@@ -119,8 +125,10 @@ class Optimiser:
         """Learn the values of points.
 
         Raises:
-            ValueError: A point is not in the space, or a value is not a number.
+            ValueError: A point is not in the space, a value is not a number, or there are more of one.
         """
+        if len(points) != len(values):
+            raise ValueError(f"values: got {len(values)}; allowed: {len(points)}, one for each point")
         told = [
             Evaluation(checked_point(self._axes, point), _number(value))
             for point, value in zip(points, values, strict=True)
@@ -134,7 +142,8 @@ class Optimiser:
 
     def result(self) -> OptimisationResult:
         """What was found so far."""
-        search = self._search if any(map(Evaluation.is_finite, self._evaluations)) else None
+        is_known = any(map(Evaluation.is_finite, self._evaluations))
+        search = copy.copy(self._search) if is_known else None  # later values change the search itself
         return OptimisationResult(
             tuple(self._evaluations), self._axes, self._sign > 0.0, self._is_noisy, search
         )
@@ -236,14 +245,19 @@ def _optimised(
     """Optimise with an `Optimiser` that has room for all evaluations, and the known ones."""
     if not callable(function):
         raise ValueError(f"function: got {shown(function)}; allowed: a function")
-    known = list(known)
-    batch, capacity = min(_count("batch", batch), _count("budget", budget)), budget + len(known)
-    optimiser = Optimiser(space, batch=batch, capacity=capacity, **settings)
-    optimiser.tell_batch([point for point, _ in known], [value for _, value in known])
     if not callable(workers):
         raise ValueError(f"workers: got {shown(workers)}; allowed: a function such as pool.map")
+    try:
+        pairs = [(point, value) for point, value in known]
+    except (TypeError, ValueError):
+        allowed = "pairs of a point and its value, such as [({'x': 0.5}, 1.2)]"
+        raise ValueError(f"known: got {shown(known)}; allowed: {allowed}") from None
+    budget, is_quiet = check_count("budget", budget, 1), not check_flag("progress", progress)
+    batch = min(check_count("batch", batch, 1), budget)
+    optimiser = Optimiser(space, batch=batch, capacity=budget + len(pairs), **settings)
+    optimiser.tell_batch([point for point, _ in pairs], [value for _, value in pairs])
     done = 0
-    with Bar("optimising", budget, Console(stderr=True, quiet=not progress)) as bar:
+    with Bar("optimising", budget, Console(stderr=True, quiet=is_quiet)) as bar:
         try:
             while done < budget and (points := optimiser.ask_batch(min(optimiser.batch, budget - done))):
                 _evaluate(optimiser, function, points, workers)
@@ -251,7 +265,8 @@ def _optimised(
                 value = optimiser.result().value
                 bar.show(done, "no value yet" if value is None else f"best {value:.6g}")
         except KeyboardInterrupt:
-            bar.say(f"stopped after {done} evaluations")
+            number = len(optimiser.result().evaluations) - len(pairs)
+            bar.say(f"stopped after {number} evaluations")
     return optimiser.result()
 
 
@@ -261,7 +276,7 @@ def _evaluate(
     points: Sequence[Mapping[str, Any]],
     workers: Workers,
 ) -> None:
-    """Evaluate points and tell their values; also those that are known when an evaluation fails.
+    """Evaluate points and tell their values; also those that are known when it fails or is interrupted.
 
     Raises:
         ObjectiveError: The function raised an error, or returned no number.
@@ -270,9 +285,13 @@ def _evaluate(
     try:
         for value in workers(partial(_call, function), points):
             values.append(_number(value))
-    except Exception as error:
+        if len(values) != len(points):
+            raise ValueError(f"workers: got {len(values)} values; allowed: {len(points)}, one for each point")
+    except (Exception, KeyboardInterrupt) as error:
+        optimiser.tell_batch(points[: len(values)], values[: len(points)])
+        if isinstance(error, KeyboardInterrupt):
+            raise
         failed = points[min(len(values), len(points) - 1)]
-        optimiser.tell_batch(points[: len(values)], values)
         at = ", ".join(f"{name}={shown(value)}" for name, value in failed.items())
         raise ObjectiveError(
             f"the evaluation at {at} failed: {error_line(error)}", optimiser.result()
@@ -284,21 +303,8 @@ def _call(function: Callable[..., float], point: Mapping[str, Any]) -> float:
     return function(**point)  # a function of the module, which processes can be sent
 
 
-def _count(name: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise ValueError(f"{name}: got {shown(value)}; allowed: an integer >= 1")
-    return value
-
-
-def _integer(name: str, value: Any) -> int:
-    try:
-        return operator.index(value)
-    except TypeError:
-        raise ValueError(f"{name}: got {shown(value)}; allowed: an integer") from None
-
-
 def _number(value: Any) -> float:
     try:
         return float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"value: got {shown(value)}; allowed: a number") from None

@@ -122,15 +122,44 @@ def test_what_a_batch_has_found_before_an_error_is_kept(few_rows):
     assert len(caught.value.result.evaluations) == 2
 
 
-def test_ctrl_c_keeps_what_was_found(capsys):
+@pytest.mark.parametrize("batch", [1, 3])
+def test_ctrl_c_keeps_what_was_found(batch, few_rows, capsys):
     def function(rate, depth, kind):
         if calls.append(depth) or len(calls) == 3:
             raise KeyboardInterrupt
         return objective(rate, depth, kind)
 
     calls = []
-    assert len(bojax.minimise(function, SPACE, budget=5).evaluations) == 2
+    assert len(bojax.minimise(function, SPACE, budget=5, batch=batch).evaluations) == 2
     assert "stopped after 2 evaluations" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [2, 4])
+def test_workers_with_another_number_of_values_end_in_one_line(number, few_rows):
+    def workers(function, points):
+        return [0.0] * number
+
+    with pytest.raises(bojax.ObjectiveError, match=f"workers: got {number} values; allowed: 3") as caught:
+        bojax.minimise(objective, SPACE, budget=7, batch=3, workers=workers, progress=False)
+    assert len(caught.value.result.evaluations) == min(number, 3)
+
+
+def test_choices_of_several_types_are_a_column_of_text():
+    space = {"x": ["1", 1, None], "y": [True, False], "z": [1, 2.5]}
+    search = bojax.Optimiser(space)
+    assert search.result().table.num_rows == 0
+    search.tell_batch([{"x": 1, "y": True, "z": 1}, {"x": None, "y": False, "z": 2.5}], [0.0, 1.0])
+    rows = [("1", "True", 1.0, 0.0), ("None", "False", 2.5, 1.0)]
+    assert [tuple(row.values()) for row in search.result().table.to_pylist()] == rows
+
+
+def test_a_result_stays_as_it_was():
+    search = bojax.Optimiser({"x": (-1.0, 1.0)}, noisy=True)
+    search.tell({"x": 0.5}, 1.0)
+    result = search.result()
+    value = result.predict([{"x": 0.0}])[0]
+    search.tell({"x": 0.0}, 5.0)
+    assert result.predict([{"x": 0.0}])[0] == value != search.result().predict([{"x": 0.0}])[0]
 
 
 def test_a_batch_is_evaluated_by_an_executor_and_known_points_count(few_rows):
@@ -196,6 +225,17 @@ def test_wrong_arguments_end_in_one_line(found):
             (use(initial=0.5), "initial: got 0.5"),
             (use(known=[(alone, 0.0)]), "got .*a value for each of rate"),
             (use(known=[({**alone, "depth": 0, "kind": "a"}, 0.0)]), f"depth: got 0; allowed: {integer}"),
+            (use(known=[alone]), "known: got .*; allowed: pairs of a point and its value"),
+            (
+                use(known=[({**alone, "depth": 1, "kind": "a"}, 10**400)]),
+                "value: got 1000.*allowed: a number",
+            ),
+            (use(noisy="no"), 'noisy: got "no"; allowed: True or False'),
+            (use(progress="no"), 'progress: got "no"; allowed: True or False'),
+            (use(seed=-1), "seed: got -1; allowed: an integer >= 0"),
+            (use(seed=2**63), "seed: got 9223372036854775808; allowed: below"),
+            (lambda: bojax.Optimiser(SPACE).ask_batch("a"), 'number: got "a"; allowed: an integer >= 1'),
+            (lambda: bojax.Optimiser(SPACE).tell_batch([], [1.0]), "values: got 1; allowed: 0, one for each"),
             (use(workers=4), "workers: got 4; allowed: a function such as"),
             (use(seed="a"), 'seed: got "a"; allowed: an integer'),
             (partial(bojax.maximise, objective, SPACE, seed="a"), 'seed: got "a"; allowed: an integer'),
