@@ -13,6 +13,8 @@ from jaxtyping import Array, Float, Int
 
 from bojax.models.checks import (
     Numbers,
+    check_count,
+    check_number,
     check_readings,
     is_known,
     precision,
@@ -82,22 +84,26 @@ class BayesianLinearRegression(eqx.Module):
             block: Maximum number of updates between two flushes; 0 applies every update at once.
 
         Raises:
-            ValueError: A count is below its minimum.
+            ValueError: A count is below its minimum, or a precision is not a positive number (unless
+                compiled).
         """
-        for name, number, least in (("num_features", num_features, 1), ("block", block, 0)):
-            if number < least:
-                raise ValueError(f"{name}: got {number}; allowed: >= {least}")
-        if num_targets is not None and num_targets < 1:
-            raise ValueError(f"num_targets: got {num_targets}; allowed: >= 1 or None")
+        check_count("num_features", num_features, 1)
+        check_count("block", block, 0)
+        if num_targets is not None:
+            check_count("num_targets", num_targets, 1)
         dtype = precision(prior_precision, noise_precision)
         prior_precision = to_numbers("prior_precision", prior_precision, dtype)
+        noise_precision = to_numbers("noise_precision", noise_precision, dtype)
+        for name, value in (("prior_precision", prior_precision), ("noise_precision", noise_precision)):
+            if is_known(value):
+                check_number(name, value, str(dtype), is_above=True)
         targets = () if num_targets is None else (num_targets,)
         return cls(
             mean=jnp.zeros((num_features, *targets), dtype),
             base=jnp.eye(num_features, dtype=dtype) / prior_precision,
             rows=jnp.zeros((block, num_features), dtype),
             prior_precision=prior_precision,
-            noise_precision=to_numbers("noise_precision", noise_precision, dtype),
+            noise_precision=noise_precision,
             num_ignored=jnp.zeros((), jnp.int32),
         )
 
@@ -221,6 +227,8 @@ class BayesianLinearRegression(eqx.Module):
         base, rows = self.base, self.rows
         if not len(rows):
             base = base - row[:, None] * row[None, :]
+        elif isinstance(step_in_block, int) and not 0 <= step_in_block < len(rows):
+            raise ValueError(f"step_in_block: got {step_in_block}; allowed: from 0 to {len(rows) - 1}")
         elif step_in_block is None:
             rows = jnp.concatenate([rows[1:], row[None, :]])
         else:
@@ -376,6 +384,8 @@ def maximise_evidence(
     features, targets = to_data(features, targets)
     if not len(targets):
         raise ValueError("observations: got 0; allowed: >= 1, since the evidence is constant without any")
+    if is_known((features, targets)):
+        check_readings(("features", features), ("targets", targets), np.ones(len(targets), bool))
     return _maximise_evidence(features, targets)
 
 
@@ -426,7 +436,12 @@ def _weights(sample_weight: Any, features: Float[Array, "N M"]) -> Float[Array, 
     """The weights of observations, 1 by default."""
     if sample_weight is None:
         return jnp.ones((len(features),), features.dtype)
-    return to_numbers("sample_weight", sample_weight, features.dtype)
+    weight = to_numbers("sample_weight", sample_weight, features.dtype)
+    if weight.shape != features.shape[:1]:
+        raise ValueError(f"sample_weight: got shape {weight.shape}; allowed: {features.shape[:1]}")
+    if is_known(weight) and not np.all(np.isfinite(weight) & (np.asarray(weight) >= 0.0)):
+        raise ValueError("sample_weight: got a negative or non-finite number; allowed: finite numbers >= 0")
+    return weight
 
 
 def _triangular(features, targets, prior_precision) -> tuple[Float[Array, "M M"], Float[Array, "M *K"]]:

@@ -313,10 +313,13 @@ class BayesianLinearRegressor(_Regressor):
         """Compute the posterior of the weights given the rows of X and their values.
 
         Raises:
-            ValueError: An argument is not finite, not positive or of the wrong shape.
+            ValueError: An argument is not finite, not positive or of the wrong shape, or float32 does not
+                resolve the differences within a column or the targets.
         """
         dtype = self._dtype()
         X, y = self._data(X, y, dtype)
+        _check_resolved("X", X, dtype)
+        _check_resolved("y", y, dtype)
         features = Polynomial(1, X.shape[1]) if self.features is None else self.features
         check_kind("features", features, Features, "Polynomial(2, num_dims=1)")
         features = cast(features, dtype)

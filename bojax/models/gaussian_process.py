@@ -11,7 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from bojax.models.checks import Numbers, check_readings, is_known, precision, to_numbers, to_point, to_points
+from bojax.models.checks import (
+    Numbers,
+    check_count,
+    check_key,
+    check_readings,
+    is_known,
+    precision,
+    to_numbers,
+    to_point,
+    to_points,
+)
 from bojax.models.kernels import Kernel, KernelName, as_kernel
 from bojax.models.means import ConstantMean, Mean, ZeroMean
 from bojax.numerics.linalg import eigh, guarded_cholesky, inverse_cholesky, matmul, noise_floor
@@ -64,10 +74,14 @@ class GaussianProcess(eqx.Module):
     ) -> "GaussianProcess":
         """The prior, without observations and with room for `capacity` of them."""
         kernel = as_kernel(kernel)
+        capacity = check_count("capacity", capacity, 0)
         dtype = precision(kernel, noise_variance)
+        noise_variance = to_numbers("noise_variance", noise_variance, dtype)
+        if noise_variance.shape:
+            raise ValueError(f"noise_variance: got shape {noise_variance.shape}; allowed: one number")
         return cls(
             kernel=kernel,
-            noise_variance=to_numbers("noise_variance", noise_variance, dtype),
+            noise_variance=noise_variance,
             x=jnp.zeros((capacity, num_dims), dtype),
             y=jnp.zeros((capacity,), dtype),
             inverse_cholesky=jnp.zeros((capacity, capacity), dtype),
@@ -102,8 +116,9 @@ class GaussianProcess(eqx.Module):
             noise_variances: Noise variance of each observation, instead of `noise_variance`.
 
         Raises:
-            ValueError: There are more rows than the capacity, not as many values as inputs, or an observation
-                that is not finite (in a compiled function, it is left out and counted).
+            ValueError: There are more rows than the capacity, not as many values as inputs, or (unless
+                compiled) a variance is negative or not finite, or an observation is not finite (in a compiled
+                function, it is left out and counted).
         """
         kernel = as_kernel(kernel)
         dtype = precision(kernel, noise_variance)
@@ -112,7 +127,7 @@ class GaussianProcess(eqx.Module):
         number, num_dims = x.shape
         if y.shape != (number,):
             raise ValueError(f"y: got shape {y.shape}; allowed: {number} numbers, one for each row of x")
-        capacity = number if capacity is None else capacity
+        capacity = number if capacity is None else check_count("capacity", capacity, 0)
         if capacity < number:
             raise ValueError(f"capacity: got {capacity}; allowed: >= {number}, the number of observations")
         empty = cls.prior(kernel, noise_variance, capacity, num_dims, mean)
@@ -124,7 +139,7 @@ class GaussianProcess(eqx.Module):
         if not is_known(args):
             return _all_at_once(*args)
         check_readings(("x", x), ("y", y), is_given)
-        empty._warn_of_floor(x, is_given, noise_variances)
+        empty._check_noise(x, is_given, noise_variances)
         return _fit(*args)
 
     def refitted(
@@ -176,7 +191,7 @@ class GaussianProcess(eqx.Module):
             return self._updated(x, y, noise_variance)
         is_valid = jnp.ones(1, bool)
         self._check_room(("x", x[None, :]), ("y", y[None]), is_valid)
-        self._warn_of_floor(x[None, :], is_valid, noise_variance)
+        self._check_noise(x[None, :], is_valid, noise_variance)
         return _update(self, x, y, noise_variance)
 
     def _updated(
@@ -213,7 +228,7 @@ class GaussianProcess(eqx.Module):
         if not is_known((self, xs, ys, is_valid, noise_variances)):
             return self._extended(xs, ys, is_valid, noise_variances)
         self._check_room(("xs", xs), ("ys", ys), is_valid)
-        self._warn_of_floor(xs, is_valid, noise_variances)
+        self._check_noise(xs, is_valid, noise_variances)
         return _extend(self, xs, ys, is_valid, noise_variances)
 
     def _extended(
@@ -369,6 +384,8 @@ class GaussianProcess(eqx.Module):
         self, key: Key[Array, ""], xs: Float[Array, "M D"] | Numbers, num: int
     ) -> Float[Array, "num M"]:
         """Joint draws of the noise-free function at `xs`."""
+        check_key(key)
+        check_count("num", num, 0)
         # By eigenvalues: for points near each other, rounding makes some of them slightly negative, and they
         # count as 0. A Cholesky factor would need jitter instead.
         mean, covariance = self.predict_covariance(xs)
@@ -410,18 +427,25 @@ class GaussianProcess(eqx.Module):
                 f"{ys[0]}: got {number} more beside {held}; allowed: {capacity} observations, the capacity"
             )
 
-    def _warn_of_floor(
+    def _check_noise(
         self,
         xs: Float[Array, "S D"],
         is_valid: Bool[Array, "S"],
-        noise_variances: Float[Array, "S"] | Float[Array, ""] | None,
+        noise_variances: Array | None,
     ) -> None:
-        """Warn of a noise variance that is raised to the floor."""
-        own = self.noise_variance if noise_variances is None else noise_variances
-        given = np.broadcast_to(np.asarray(own), is_valid.shape)
-        used = np.asarray(_noise(self, xs, jnp.asarray(given)))
+        """Refuse a variance that is negative or not finite, and warn of noise that is raised to the floor."""
+        own = np.asarray(self.noise_variance if noise_variances is None else noise_variances)
+        if own.shape not in ((), is_valid.shape):
+            raise ValueError(f"noise_variances: got shape {own.shape}; allowed: {is_valid.shape}")
+        is_given, given = np.asarray(is_valid), np.broadcast_to(own, is_valid.shape)
+        prior = np.asarray(_variances(self, xs))
+        for name, variances in (("noise_variance", given), ("kernel: prior variance", prior)):
+            wrong = variances[is_given & ~((variances >= 0.0) & np.isfinite(variances))]
+            if wrong.size:
+                raise ValueError(f"{name}: got {wrong[0]:g}; allowed: finite numbers >= 0")
+        used = np.maximum(given, noise_floor(xs.dtype) * prior)
         # More than by rounding; without noise, the floor is what is asked for.
-        is_raised = np.asarray(is_valid) & (given > 0.0) & (used > 1.001 * given)
+        is_raised = is_given & (given > 0.0) & (used > 1.001 * given)
         if np.any(is_raised):
             least = given[is_raised].min()
             warnings.warn(
@@ -473,4 +497,4 @@ def _all_at_once(
 _fit = eqx.filter_jit(_all_at_once)
 _update = eqx.filter_jit(GaussianProcess._updated)
 _extend = eqx.filter_jit(GaussianProcess._extended)
-_noise = eqx.filter_jit(GaussianProcess.noise)
+_variances = eqx.filter_jit(GaussianProcess._prior_variance)

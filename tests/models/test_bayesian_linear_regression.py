@@ -452,16 +452,25 @@ def test_lists_and_python_numbers_are_as_good_as_arrays():
 
 
 def test_inputs_of_the_wrong_shape_are_refused():
-    model, three = prior(2), [[1, 0], [0, 1], [1, 1]]
+    model, three, fit = prior(2), [[1, 0], [0, 1], [1, 1]], BayesianLinearRegression.fit
     rows = r"targets: got shape \(2,\); allowed: 3 rows, one for each row of"
     assert_refused(
         [
-            (lambda: BayesianLinearRegression.fit(three, [1, 2], 1, 1), rows),
+            (lambda: fit(three, [1, 2], 1, 1), rows),
             (lambda: model.predict([[1]]), r"features: got shape \(1, 1\); allowed: \[points, 2\]"),
             (lambda: model.update([1, 2, 3], 0), r"features: got shape \(3,\); allowed: \[2\]"),
             (lambda: maximise_evidence(*map(jnp.asarray, observations(0))), "observations: got 0"),
-            (lambda: prior(num_features=0), "num_features: got .*; allowed: >= "),
-            (lambda: prior(block=-1), "block: got .*; allowed: >= "),
-            (lambda: prior(num_targets=0), "num_targets: got .*; allowed: >= "),
+            (lambda: prior(num_features=0), "num_features: got 0; allowed: an integer >= 1"),
+            (lambda: prior(block=-1), "block: got -1; allowed: an integer >= 0"),
+            (lambda: prior(num_targets=0), "num_targets: got 0; allowed: an integer >= 1"),
+            (lambda: fit(three, [1, 2, 3], 0, 1), "prior_precision: got 0.0; allowed: a number > 0"),
+            (lambda: fit(three, [1, 2, 3], 1, -1), "noise_precision: got -1.0; allowed: a number > 0"),
+            (lambda: fit(three, [1, 2, 3], 1, 1, sample_weight=[1, -1, 1]), "sample_weight: got a negative"),
+            (lambda: fit(three, [1, 2, 3], 1, 1, sample_weight=[1]), r"sample_weight: got shape \(1,\)"),
+            (
+                lambda: prior(block=2).update([1] * 6, 0, step_in_block=2),
+                "step_in_block: got 2; allowed: from 0",
+            ),
+            (lambda: maximise_evidence([[1], [2]], [1, np.nan]), "targets: 1 of 2 numbers are not finite"),
         ]
     )

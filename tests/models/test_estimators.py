@@ -145,10 +145,11 @@ def test_constant_columns_and_targets_have_unit_scale():
     assert model.kernel_.variance == 1.0 and model.kernel_.kernel.lengthscale[1] == 1.0
 
 
-def test_float32_refuses_numbers_that_it_does_not_resolve():
+@pytest.mark.parametrize("estimator", [GaussianProcessRegressor, BayesianLinearRegressor])
+def test_float32_refuses_numbers_that_it_does_not_resolve(estimator):
     for x, y, name in ((X + 1.7e9, Y, "X"), (X, Y + 1e7, "y")):
         with pytest.raises(ValueError, match=f"{name}: float32 does not resolve values that differ by"):
-            GaussianProcessRegressor(dtype="float32").fit(x, y)
+            estimator(dtype="float32").fit(x, y)
 
 
 def test_each_observation_may_have_its_noise():

@@ -341,6 +341,24 @@ def test_outside_of_jit_what_would_be_left_out_is_refused():
     assert masked.count == 4 and np.all(np.isfinite(masked.y)) and masked.num_ignored == 0
 
 
+@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
+def test_outside_of_jit_a_variance_that_cannot_be_is_refused(value):
+    x, y = observations(2)
+    gp, fit, wrong = prior(0.01), GaussianProcess.fit, f"noise_variance: got {value}; allowed: finite .*>= 0"
+    kernel = f"kernel: prior variance: got {value}; allowed: finite"
+    one_short = r"noise_variances: got shape \(1,\); allowed: \(2,\)"
+    assert_refused(
+        [
+            (lambda: fit("rbf", value, x, y), wrong),
+            (lambda: fit("rbf", 0.1, x, y, noise_variances=[0.1, value]), wrong),
+            (lambda: gp.update(x[0], y[0], value), wrong),
+            (lambda: gp.extend(x, y, noise_variances=[value, 0.1]), wrong),
+            (lambda: fit("rbf", 0.1, x, y, noise_variances=[0.1]), one_short),
+            (lambda: fit(Scaled(RBF(1.0), value), 0.1, x, y), kernel),
+        ]
+    )
+
+
 def test_a_noise_variance_below_the_floor_is_raised_with_a_warning():
     x, y = observations(20)
     floor = noise_floor(jnp.float64)
@@ -457,5 +475,8 @@ def test_inputs_of_the_wrong_kind_are_refused_in_one_line():
             (lambda: fit("rfb", 0.1, [1], [1]), 'unknown kernel; .*; did you mean "rbf"'),
             (lambda: fit("my:Own", 0.1, [1], [1]), "my:Own; allowed: a name, or an object"),
             (lambda: fit("rbf", 0.1, *observations(4), capacity=3), too_many),
+            (lambda: GaussianProcess.prior("rbf", 0.1, -1, 1), "capacity: got -1; allowed: an integer >= 0"),
+            (lambda: fit("rbf", [0.1, 0.2], [1, 2], [1, 2]), "noise_variance: got shape .*; allowed: one"),
+            (lambda: gp.sample(jax.random.key(0), [[1, 2]], -1), "num: got -1; allowed: an integer >= 0"),
         ]
     )
