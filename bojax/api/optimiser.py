@@ -20,6 +20,9 @@ from bojax.text import error_line
 LEAST_CAPACITY = 32
 """Capacity of the first model; each further one, which is compiled anew, has twice as many observations."""
 
+MOST_EVALUATIONS = 10_000
+"""Largest expected number of evaluations: the memory of the model grows with its square."""
+
 Workers = Callable[[Callable[[Mapping[str, Any]], float], Sequence[Mapping[str, Any]]], Iterable[float]]
 """`map`, or one that evaluates in parallel, such as that of an executor."""
 
@@ -84,7 +87,11 @@ class Optimiser:
             min(16, 2 + 2 * len(self._axes)) if initial is None else check_count("initial", initial, 1)
         )
         self._evaluations: list[Evaluation] = []
-        self._search = self._new(max(LEAST_CAPACITY, check_count("capacity", capacity, 1)))
+        if check_count("capacity", capacity, 1) > MOST_EVALUATIONS:
+            raise ValueError(
+                f"evaluations: got {capacity}; allowed: <= {MOST_EVALUATIONS}, for the model's memory"
+            )
+        self._search = self._new(max(LEAST_CAPACITY, capacity))
 
     @property
     def batch(self) -> int:

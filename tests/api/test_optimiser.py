@@ -221,6 +221,8 @@ def test_wrong_arguments_end_in_one_line(found):
             (use(3), "function: got 3"),
             (use(space={"x": (1, 0)}), "x: got 1 and 0"),
             (use(budget=0), "budget: got 0; allowed: an integer >= 1"),
+            (use(budget=10**6), "evaluations: got 1000000; allowed: <= 10000"),
+            (partial(bojax.Optimiser, SPACE, capacity=10**6), "evaluations: got 1000000; allowed: <= 10000"),
             (use(batch=0), "batch: got 0"),
             (use(initial=0.5), "initial: got 0.5"),
             (use(known=[(alone, 0.0)]), "got .*a value for each of rate"),
