@@ -1,5 +1,6 @@
 """Hyper-parameters that maximise the evidence (2.23, 2.30), by L-BFGS from several starting points."""
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -9,7 +10,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
-from bojax.models.checks import compiled_if_known
+from bojax.models.checks import check_count, compiled_if_known
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.numerics.lanes import batched_together
@@ -93,7 +94,15 @@ def maximise(
         num_steps: Maximum number of steps from each starting point.
         spread: Standard deviation of the logarithms of the other starting points around the first.
         bounds: Lower and upper bound of every parameter; starting points are moved inside.
+
+    Raises:
+        ValueError: A number of starting points or steps is below 1, or the bounds are not positive, finite
+            and in order.
     """
+    check_count("num_starts", num_starts, 1)
+    check_count("num_steps", num_steps, 1)
+    if not 0.0 < bounds[0] < bounds[1] < math.inf:
+        raise ValueError(f"bounds: got {bounds[0]:g} and {bounds[1]:g}; allowed: 0 < low < high, finite")
     varied, fixed = eqx.partition(params, eqx.is_inexact_array)
     first, unravel = ravel_pytree(varied)
     low, high = (jnp.log(jnp.asarray(bound, first.dtype)) for bound in bounds)

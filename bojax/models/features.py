@@ -49,7 +49,7 @@ class Features(eqx.Module):
 
     def design(self, xs: Float[Array, "N D"] | Numbers) -> Float[Array, "N M"]:
         """The design matrix: a row of features for each input (an array or lists)."""
-        return jax.vmap(self)(to_points("xs", xs, precision(self, xs)))
+        return jax.vmap(self)(to_points("xs", xs, precision(self, xs), getattr(self, "num_dims", None)))
 
 
 class RandomFourier(Features):

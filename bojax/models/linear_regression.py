@@ -1,10 +1,21 @@
 """Linear regression by least squares (2.8), and its maximum a posteriori estimate (2.14)."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from bojax.models.checks import Numbers, to_data, to_numbers, to_points
+from bojax.models.checks import (
+    Numbers,
+    check_number,
+    check_readings,
+    is_known,
+    to_data,
+    to_numbers,
+    to_points,
+)
 from bojax.numerics.linalg import matmul
 
 
@@ -28,8 +39,11 @@ class LinearRegression(eqx.Module):
         Solved by a singular value decomposition, since the normal equations would square the condition number
         of the features. Singular values below max(N, M) machine epsilons of the largest one count as zero.
         Without observations the weights are zero.
+
+        Raises:
+            ValueError: An observation is not finite (unless compiled), or a shape is wrong.
         """
-        features, targets = to_data(features, targets)
+        features, targets = _finite_data(features, targets)
         return cls(jnp.linalg.lstsq(features, targets)[0])
 
     @classmethod
@@ -44,11 +58,18 @@ class LinearRegression(eqx.Module):
 
         Solved by least squares, with sqrt(prior_precision / noise_precision) I appended to the features and
         zeros appended to the targets.
+
+        Raises:
+            ValueError: A precision is not positive, or an observation is not finite (unless compiled), or a
+                shape is wrong.
         """
-        features, targets = to_data(features, targets)
+        features, targets = _finite_data(features, targets)
         num_features, dtype = features.shape[1], features.dtype
         prior_precision = to_numbers("prior_precision", prior_precision, dtype)
         noise_precision = to_numbers("noise_precision", noise_precision, dtype)
+        for name, value in (("prior_precision", prior_precision), ("noise_precision", noise_precision)):
+            if is_known(value):
+                check_number(name, value, str(dtype), is_above=True)
         ridge = jnp.sqrt(prior_precision / noise_precision) * jnp.eye(num_features, dtype=dtype)
         nothing = jnp.zeros((num_features, *targets.shape[1:]), targets.dtype)
         return cls.fit(jnp.concatenate([features, ridge]), jnp.concatenate([targets, nothing]))
@@ -56,3 +77,10 @@ class LinearRegression(eqx.Module):
     def predict(self, features: Float[Array, "N M"] | Numbers) -> Float[Array, "N *K"]:
         """Values at the points with these features."""
         return matmul(to_points("features", features, self.weights.dtype, len(self.weights)), self.weights)
+
+
+def _finite_data(features: Any, targets: Any) -> tuple[Float[Array, "N M"], Float[Array, "N *K"]]:
+    features, targets = to_data(features, targets)
+    if is_known((features, targets)):
+        check_readings(("features", features), ("targets", targets), np.ones(len(targets), bool))
+    return features, targets

@@ -14,6 +14,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern32, Scaled
 from bojax.models.means import ConstantMean
 from bojax.numerics.linalg import noise_floor
+from tests.refusals import assert_refused
 
 BOUNDS = (1e-6, 1e6)
 learn = eqx.filter_jit(relearn)
@@ -185,3 +186,18 @@ def test_a_prior_pulls_and_decides_where_the_data_are_silent():
 
     np.testing.assert_allclose(learned(0), 0.7, rtol=1e-3)
     assert 0.01 < abs(np.log(learned(25) / 0.7)) < 1.0
+
+
+def test_a_search_that_cannot_be_is_refused():
+    gp, key = GaussianProcess.fit("rbf", 0.1, [0.0, 1.0], [1.0, 2.0]), jax.random.key(0)
+    wrong = ((1.0, 0.1), (0.0, 1.0), (1.0, float("inf")))
+    assert_refused(
+        [
+            (lambda: relearn(gp, key, num_starts=0), "num_starts: got 0; allowed: an integer >= 1"),
+            (lambda: relearn(gp, key, num_steps=0), "num_steps: got 0; allowed: an integer >= 1"),
+            *(
+                (lambda b=b: relearn(gp, key, bounds=b), "bounds: got .*; allowed: 0 < low < high")
+                for b in wrong
+            ),
+        ]
+    )

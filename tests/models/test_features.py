@@ -224,6 +224,8 @@ def test_features_that_cannot_be_are_refused():
             (lambda: Polynomial(0, 2, has_bias=False), "degree: got 0; allowed: >= 1"),
             (lambda: Polynomial(-1, 2), "degree: got -1; allowed: >= 0"),
             (lambda: Polynomial(2, 0), "num_dims: got 0"),
+            (lambda: Polynomial(2, 2).design([[1.0]]), r"xs: got shape \(1, 1\); allowed: \[points, 2\]"),
+            (lambda: FourierBasis(3, 1).design([[1, 2]]), r"xs: got shape \(1, 2\); allowed: \[points, 1\]"),
             (lambda: RadialBasis(jnp.zeros((0, 2)), number(1.0)), "centres: got 0"),
         ]
     )

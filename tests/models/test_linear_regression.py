@@ -8,6 +8,7 @@ from sklearn.linear_model import LinearRegression as Reference
 from sklearn.linear_model import Ridge
 
 from bojax.models.linear_regression import LinearRegression
+from tests.refusals import assert_refused
 
 fit = jax.jit(LinearRegression.fit)
 fit_map = jax.jit(LinearRegression.fit_map)
@@ -76,3 +77,19 @@ def test_lists_are_as_good_as_arrays():
     ridge = LinearRegression.fit_map(features, targets, 3, 2)
     gram = np.asarray(features).T @ features + 1.5 * np.eye(2)
     np.testing.assert_allclose(ridge.weights, np.linalg.solve(gram, np.asarray(features).T @ targets))
+
+
+def test_outside_of_jit_what_has_no_solution_is_refused():
+    fit, fit_map, holed = (
+        LinearRegression.fit,
+        LinearRegression.fit_map,
+        "targets: 1 of 2 numbers are not finite",
+    )
+    assert_refused(
+        [
+            (lambda: fit([[1], [2]], [1, np.nan]), holed),
+            (lambda: fit_map([[1], [2]], [1, np.inf], 1, 1), holed),
+            (lambda: fit_map([[1], [2]], [1, 2], -1, 1), "prior_precision: got -1.0; allowed: a number > 0"),
+            (lambda: fit_map([[1], [2]], [1, 2], 1, 0), "noise_precision: got 0.0; allowed: a number > 0"),
+        ]
+    )
