@@ -2,34 +2,34 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, DTypeLike, Float, Key
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.numerics.trial import Misfit, require, trial
+from bojax.numerics.trial import Misfit, require, require_arrays, trial
 
 
 def check_env(env: Env, dtype: DTypeLike) -> None:
     """Check that spaces, states and time steps have the shapes and the precision that a run needs.
 
-    Environments of bojax are not checked, nor those that step on the host.
+    Of environments of bojax, only the bounds are checked. Environments that step on the host are not checked.
 
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
     """
     if env.is_hosted:
         return
-    for path, leaf in jax.tree.leaves_with_path(env):
-        if isinstance(leaf, int | float):
-            where = f"{type(env).__name__}{jax.tree_util.keystr(path)}"
-            raise ValueError(
-                f"{where} is a {type(leaf).__name__}; allowed: an array, as jnp.asarray({leaf!r})"
-            )
+    require_arrays(env)
     trial(env, _check_step, jax.random.key(0), jnp.zeros((), dtype))
+    _check_bounds("observation_space", env.observation_space)
+    _check_bounds("action_space", env.action_space)
 
 
 def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None:
     """Check the first step of an episode; `number` has the precision of the run."""
+    if not isinstance(env.max_steps, int) or env.max_steps < 1:
+        raise Misfit(f"max_steps is {env.max_steps}; allowed: an integer >= 1")
     _check_space("observation_space", env.observation_space, number.dtype)
     _check_space("action_space", env.action_space, number.dtype)
     state = env.of_run(key).reset(key)
@@ -51,6 +51,8 @@ def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None
 
 def _check_space(name: str, space: Space, dtype: jnp.dtype) -> None:
     if isinstance(space, Discrete):
+        if not isinstance(space.num, int | np.integer) or space.num < 1:
+            raise Misfit(f"{name}.num is {space.num}; allowed: an integer >= 1")
         return
     if not isinstance(space, Box):
         raise Misfit(f"{name} is a {type(space).__name__}; allowed: Box or Discrete")
@@ -59,3 +61,12 @@ def _check_space(name: str, space: Space, dtype: jnp.dtype) -> None:
         raise Misfit(f"{name}.low has shape {shape}; allowed: one number for each dimension")
     for bound in ("low", "high"):
         require(f"{name}.{bound}", getattr(space, bound), jnp.zeros(space.low.shape, dtype))
+
+
+def _check_bounds(name: str, space: Space) -> None:
+    """Refuse bounds that observations or actions cannot be scaled by."""
+    if isinstance(space, Discrete):
+        return
+    for i, (low, high) in enumerate(zip(np.asarray(space.low), np.asarray(space.high), strict=True)):
+        if not (low < high and np.isfinite(high - low)):
+            raise ValueError(f"{name}: component {i} is from {low} to {high}; allowed: finite, low < high")

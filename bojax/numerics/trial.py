@@ -1,11 +1,14 @@
 """Trial calls of a user's class before anything runs: JAX traces them, and computes nothing."""
 
 import contextlib
+import functools
+import random
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from bojax.text import error_at_line, place_of
@@ -27,7 +30,39 @@ def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
     """
     if not type(part).__module__.startswith("bojax."):
         with trial_of(type(part).__name__):
-            jax.eval_shape(check, part, *arguments)
+            jax.eval_shape(_watched(check), part, *arguments)
+
+
+@functools.cache
+def _watched(check: Callable[..., None]) -> Callable[..., None]:
+    """The check, which also refuses random numbers of the host: a trace would repeat them in every call."""
+
+    def watched(*arguments: Any) -> None:
+        before = _host_generators()
+        check(*arguments)
+        if _host_generators() != before:
+            raise Misfit(
+                "draws from numpy.random or random, once for all steps and runs; allowed: jax.random with "
+                "the given key"
+            )
+
+    return watched
+
+
+def _host_generators() -> tuple[Any, ...]:
+    """The states of the global generators of Python and NumPy."""
+    _, words, *rest = np.random.get_state(legacy=True)
+    return random.getstate(), np.asarray(words).tobytes(), *rest
+
+
+def require_arrays(part: Any) -> None:
+    """Raise a ValueError if a field of a module is a Python number, which has no precision."""
+    for path, leaf in jax.tree.leaves_with_path(part):
+        if isinstance(leaf, int | float):
+            where = f"{type(part).__name__}{jax.tree_util.keystr(path)}"
+            raise ValueError(
+                f"{where} is a {type(leaf).__name__}; allowed: an array, as jnp.asarray({leaf!r})"
+            )
 
 
 @contextlib.contextmanager

@@ -3,11 +3,12 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.check import check_env
-from bojax.envs.spaces import Box
+from bojax.envs.spaces import Box, Discrete
 from tests.refusals import assert_refused
 
 
@@ -24,7 +25,12 @@ class Cart(Env):
         box = Box(-one, one)
         if self.broken == "scalar bounds":
             return eqx.tree_at(lambda box: box.low, box, self.speed)
-        return box
+        spaces = {
+            "no elements": Discrete(0),
+            "equal bounds": Box(one, one),
+            "infinite bounds": Box(-one, jnp.inf * one),
+        }
+        return spaces.get(self.broken, box)
 
     @property
     def action_space(self):
@@ -41,6 +47,8 @@ class Cart(Env):
 
     def step(self, key, state, action):
         x = state["x"] + self.speed * action
+        if self.broken == "draws of the host":
+            x = x + jnp.asarray(np.random.normal(), x.dtype)
         no = jnp.zeros((), bool)
         result = TimeStep(x, -jnp.sum(x), no, no, no)
         wrong = {
@@ -67,6 +75,8 @@ MISFITS = {
     "no time step": "step has to return the next state and a TimeStep",
     "scalar bounds": r"observation_space.low has shape \(\)",
     "wide bounds": r"action_space.low is float64 of shape \(1,\)",
+    "no elements": "observation_space.num is 0; allowed: an integer >= 1",
+    "draws of the host": "draws from numpy.random or random, once for all steps and runs; allowed: jax",
     "misspelt": r"a trial call failed: AttributeError: 'Cart' object has no attribute 'sped' \(test_check",
 }
 
@@ -77,6 +87,23 @@ def test_a_misfit_is_named_and_an_environment_that_fits_passes():
         (lambda broken=broken: check_env(Cart(speed, broken), jnp.float32), f"^Cart: .*{message}")
         for broken, message in MISFITS.items()
     )
+    # Also where the trial is cached: JAX caches no trace that raised.
+    draws = (
+        lambda: check_env(Cart(speed, "draws of the host"), jnp.float32),
+        "^Cart: draws from numpy.random",
+    )
+    bounds = [
+        (
+            lambda broken=broken: check_env(Cart(speed, broken), jnp.float32),
+            rf"^observation_space: .*{found};",
+        )
+        for broken, found in {"equal bounds": "1.0 to 1.0", "infinite bounds": "-1.0 to inf"}.items()
+    ]
+    no_steps = (
+        lambda: check_env(Cart(speed, max_steps=0), jnp.float32),
+        "^Cart: max_steps is 0; allowed: an",
+    )
+    assert_refused([draws, *bounds, no_steps])
     number = eqx.tree_at(lambda env: env.speed, Cart(speed), 0.1)
     array = r"^Cart.speed is a float; allowed: an array, as jnp.asarray\(0.1\)$"
     assert_refused([(lambda: check_env(number, jnp.float32), array)])
