@@ -1,6 +1,7 @@
 """A learning run (thesis, Algorithm 5): training episodes of a learner, each followed by test episodes."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Literal, TypeAlias
 
@@ -20,6 +21,7 @@ from bojax.experiments.step_rows import StepRows
 from bojax.experiments.targets import TargetProgress
 from bojax.experiments.value_maps import Visits, value_map
 from bojax.learning.base import ExplorationState, Learner, LearnerState
+from bojax.learning.check import check_learner, check_schedule, check_weight
 from bojax.learning.schedules import Schedule
 from bojax.numerics.lanes import EPISODES
 from bojax.results.schema import Column, Table
@@ -92,6 +94,15 @@ def shares_start(starts: Starts) -> Bool[Array, ""]:
     return jnp.asarray(starts == "per-run")
 
 
+@contextlib.contextmanager
+def _located(part: str) -> Iterator[None]:
+    """Begin the message of a ValueError with the part that it is about."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{part}: {error}") from error
+
+
 def _exploring(tests_learn: Literal["no", "exploiting", "exploring"]) -> Bool[Array, ""] | None:
     """Whether a learner learns from exploration rewards in its tests; None if it does not learn there."""
     return None if tests_learn == "no" else jnp.asarray(tests_learn == "exploring")
@@ -118,12 +129,17 @@ class LearningRun(Experiment):
     map_resolution: int = eqx.field(static=True)
 
     def __check_init__(self):
-        """Check the environment, and compare the learner with it, or raise ValueError."""
-        try:
+        """Check the environment, the learner in it, and the schedule, or raise ValueError."""
+        with _located("learner"):
+            check_weight(self.learner)
+        with _located("env"):
             check_env(self.env, self._dtype)
-        except ValueError as error:
-            raise ValueError(f"env: {error}") from error
-        self.learner.check_spaces(self.env.observation_space, self.env.action_space)
+        spaces = self.env.observation_space, self.env.action_space
+        self.learner.check_spaces(*spaces)
+        with _located("learner"):
+            check_learner(self.learner.fitted(*spaces), *spaces)
+        with _located("schedule"):
+            check_schedule(self.schedule)
 
     def fitted(self) -> "LearningRun":
         """The run with values of the settings of the learner that are left to the environment."""

@@ -1,0 +1,134 @@
+"""A user's learner and schedule are checked before they run, and every misfit is named in one line."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bojax.envs.spaces import Box, Discrete
+from bojax.learning.base import ExplorationState, Learner
+from bojax.learning.check import check_learner, check_schedule, check_weight
+from bojax.learning.exploration_rewards import ExplorationReward
+from bojax.learning.schedules import Schedule
+from bojax.learning.tabular import AdditiveRewards
+from tests.refusals import assert_refused, without_annotation_checks
+
+
+class Values(dict):
+    """What methods return, as a static field, which JAX compares and hashes."""
+
+    __hash__ = object.__hash__
+    __eq__ = object.__eq__
+
+
+class Still(Learner):
+    """Takes the action 0; `wrong` is what a method or property returns instead."""
+
+    weight: Float[Array, ""]
+    wrong: Values = eqx.field(static=True, default_factory=Values)
+    block: int = eqx.field(static=True, default=2)
+
+    @property
+    def exploration_weight(self):
+        return self.wrong.get("weight", self.weight)
+
+    def init(self, key, observation_space, action_space, capacity):
+        return self.wrong.get("init", {"q": jnp.zeros(3, self.weight.dtype)})
+
+    def act(self, key, state, observation, exploration):
+        return self.wrong.get("act", (jnp.zeros(1, self.weight.dtype), state["q"][0]))
+
+    def observe(self, key, state, transition, exploration, step_in_block):
+        if self.wrong.get("branches") and transition.terminated:
+            return state
+        return self.wrong.get("observe", state)
+
+    def flush(self, state):
+        return self.wrong.get("flush", state)
+
+    def end_episode(self, key, state, episode, exploration):
+        return state["u"] if self.wrong.get("misspelt") else state
+
+    def values(self, state, observation, action):
+        return self.wrong.get("values", (state["q"][0], state["q"][1]))
+
+
+ONE = jnp.ones(1, jnp.float32)
+BOX = Box(-ONE, ONE)
+SCALAR = r"allowed: float32 of shape \(\)"
+MISFITS = {
+    r"state\['q'\] of init is float; allowed: float32": {"init": {"q": 0.0}},
+    r"act returns float32 of shape \(1,\); allowed: an action and": {"act": ONE},
+    r"the action of act is int64 of shape \(1,\); allowed: float32 of": {"act": (ONE.astype(int), ONE[0])},
+    r"the action of act is float32 of shape \(\); allowed: .*\(1,\)": {"act": (ONE[0], ONE[0])},
+    rf"the expected return of act is float32 of shape \(1,\); {SCALAR}": {"act": (ONE, ONE)},
+    r"state\['q'\] of observe is float32 of shape \(1,\); allowed: .*\(3,\)": {"observe": {"q": ONE}},
+    "a value that JAX traces is used in an if": {"branches": True},
+    "the states of init and flush differ in structure": {"flush": None},
+    r"a trial call failed: KeyError: 'u' \(test_check.py, line": {"misspelt": True},
+    "values returns float32 of .*; allowed: Q and U": {"values": ONE[0]},
+    rf"U of values is float; {SCALAR}": {"values": (ONE[0], 0.0)},
+}
+
+
+class Wrong(ExplorationReward):
+    """A reward with a misspelt name."""
+
+    def __call__(self, count, next_counts):
+        return self.missing
+
+
+class Half(Schedule):
+    """Scale 0.5."""
+
+    scale: Float[Array, ""]
+    wrong: Values = eqx.field(static=True, default_factory=Values)
+
+    def __call__(self, episode, has_reached):
+        if "all" in self.wrong:
+            return self.wrong["all"]
+        return ExplorationState(self.wrong.get("scale", self.scale), self.wrong.get("learns", episode >= 0))
+
+
+def test_misfits_of_a_learner_and_a_schedule_are_named_and_those_that_fit_pass():
+    weight = jnp.float32(0.5)
+
+    def learner(wrong):
+        return Still(weight, Values(wrong))
+
+    assert_refused(
+        (lambda wrong=wrong: check_learner(learner(wrong), BOX, BOX), f"^Still: .*{message}")
+        for message, wrong in MISFITS.items()
+    )
+    weights = {
+        r"exploration_weight is float32 of shape \(1,\); allowed: floating-point": {"weight": ONE},
+        "exploration_weight is float; allowed": {"weight": 1.0},
+    }
+    assert_refused(
+        (lambda wrong=wrong: check_weight(learner(wrong)), f"^Still: {message}")
+        for message, wrong in weights.items()
+    )
+    assert_refused(
+        [
+            (lambda: check_weight(Still(weight, block=0)), "^Still: block is 0; allowed: an integer >= 1"),
+            (lambda: check_weight(Still(1.0)), "^Still.weight is a float; allowed: an array"),
+        ]
+    )
+    q_learning = AdditiveRewards(weight, weight, weight, "first", 2, weight, Wrong())
+    part = "^Wrong: a trial call failed: AttributeError: 'Wrong' object has no attribute 'missing'"
+    assert_refused([(lambda: check_learner(q_learning, Discrete(3), Discrete(2)), part)])
+    schedules = {
+        "returns float; allowed: an ExplorationState": {"all": 0.5},
+        "ExplorationState.scale is float; allowed: floating-point": {"scale": 0.5},
+        r"ExplorationState.is_learning is float32 .*; allowed: bool": {"learns": weight},
+    }
+    with without_annotation_checks():
+        assert_refused(
+            (
+                lambda wrong=wrong: check_schedule(Half(weight, Values(wrong))),
+                f"^Half: {message}",
+            )
+            for message, wrong in schedules.items()
+        )
+    check_weight(learner({}))
+    check_learner(learner({}), BOX, BOX)
+    check_schedule(Half(weight.astype(jnp.float64)))
