@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bojax.config.external import resolve
+from bojax.config.files import EXPERIMENT
 from bojax.config.sweep import load_config
 from bojax.engine.build import build
 from bojax.engine.devices import on_cpu
@@ -40,6 +41,7 @@ class Policy:
     """
 
     def __init__(self, experiment: LearningRun, state: LearnerState, seed: int = 0):
+        check_seed(seed)
         self.env: Env = experiment.env
         self._adapter = experiment.env.adapter()
         space = experiment.env.observation_space
@@ -81,6 +83,12 @@ class Policy:
         return self._adapter.action(action), float(expected)
 
 
+def check_seed(seed: int) -> None:
+    """Raise a ValueError unless a seed is one that a config may have."""
+    if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**32):
+        raise ValueError(f"seed: got {seed!r}; allowed: an integer from 0 to {2**32 - 1}")
+
+
 def saved_policy(folder: Path, run: int, seed: int = 0) -> Policy:
     """The policy of a saved learner, from its folder `learners/POINT`.
 
@@ -93,6 +101,8 @@ def saved_policy(folder: Path, run: int, seed: int = 0) -> Policy:
     config = resolve(load_config(str(folder), [f"saved_run={run}"])).points[0].config
     if not isinstance(config, Learning):
         raise ResultsError(f"{folder}: got the experiment {config.label}; allowed: learning")
+    if config.saved is None:
+        raise ResultsError(f"{folder / EXPERIMENT}: saved: got null; allowed: the folder of saved learners")
     with on_cpu(), jax.enable_x64(True):
         experiment = build(config, config.dtype)
     return Policy(experiment, experiment.saved, seed)

@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pyarrow as pa
 from rich.console import Console
 from typing_extensions import override
@@ -22,7 +23,7 @@ from bojax.engine.chunks import choose_layout, cut
 from bojax.engine.devices import choose, find_devices, suited, workers_of
 from bojax.engine.execute import execute
 from bojax.engine.groups import static_groups
-from bojax.engine.policies import Policy
+from bojax.engine.policies import Policy, check_seed
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.sinks import MemorySink
@@ -104,10 +105,13 @@ def train(
         ValueError: A number is too small, or the learner does not support the spaces of the environment.
         ConfigError: The settings are invalid.
     """
-    if runs < 1:
-        raise ValueError(f"runs: got {runs}; allowed: >= 1")
+    if not (isinstance(runs, int | np.integer) and runs >= 1):
+        raise ValueError(f"runs: got {runs!r}; allowed: an integer >= 1")
+    check_seed(seed)
+    if callback is not None and not callable(callback):
+        raise ValueError(f"callback: got {callback!r:.60}; allowed: a function of a table")
     parts = {"env": env, "learner": learner, "schedule": schedule}
-    settings = {"episodes": episodes, "stop": stop, "tests": tests}
+    settings = {"episodes": episodes, "stop": stop, "tests": tests, "dtype": dtype}
     experiment = build(named("experiment", {"kind": "learning", **parts, **settings}), dtype)
     sinks = _run(experiment, runs, seed, callback)
     tables = {

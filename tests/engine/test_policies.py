@@ -1,5 +1,7 @@
 """Policies of what runs have learned: those of the engine's episodes, in loops outside of it."""
 
+import shutil
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,3 +134,11 @@ def test_results_without_learners_say_how_to_save_them(evaluation):
 def test_an_observation_outside_its_space_is_refused(saved, observation, message):
     with pytest.raises(ValueError, match=message):
         bojax.load(saved).policy()(observation)
+
+
+def test_an_experiment_without_saved_learners_has_no_policy(saved, tmp_path):
+    folder = shutil.copytree(saved, tmp_path / "copy")
+    path = folder / "learners" / "0" / "experiment.yaml"
+    path.write_text(path.read_text().replace("saved: learner\n", ""))
+    with one_line(bojax.BojaxError, "experiment.yaml: saved: got null; allowed: the folder"):
+        bojax.load(folder).policy()

@@ -15,6 +15,7 @@ from bojax.results.store import read_table
 from bojax.results.tables import sort_rows
 from tests.engine.drive import run_sweep
 from tests.learning.probes import Bandit
+from tests.refusals import one_line, without_annotation_checks
 
 CHAIN = {"kind": "chain", "length": 4, "max_length": 4, "max_steps": 40}
 HOW = {"episodes": 3, "seed": 5, "tests": 1, "dtype": "float64"}
@@ -87,6 +88,11 @@ def test_the_policy_exploits():
     [
         ({"episodes": 0}, ValueError, "episodes: got 0"),
         ({"runs": 0}, ValueError, "runs: got 0"),
+        ({"runs": 1.5}, ValueError, "runs: got 1.5; allowed: an integer >= 1"),
+        ({"seed": -1}, ValueError, "seed: got -1; allowed: an integer from 0 to 4294967295"),
+        ({"seed": "a"}, ValueError, "seed: got 'a'; allowed: an integer"),
+        ({"dtype": "float16"}, ConfigError, 'dtype: got "float16"'),
+        ({"callback": 3}, ValueError, "callback: got 3; allowed: a function"),
         ({"env": "mountain"}, ConfigError, "env: .*mountain"),
         ({"learner": {"kind": "additive", "zeta": 1}}, ConfigError, "learner.zeta: unknown key"),
         ({"learner": "additive", "env": "mountain-car"}, ValueError, "Discrete"),
@@ -94,5 +100,5 @@ def test_the_policy_exploits():
     ],
 )
 def test_mistakes_are_refused(given, error, message):
-    with pytest.raises(error, match=message):
+    with without_annotation_checks(), one_line(error, message):
         train(**{"env": "chain", "learner": "additive", "episodes": 1} | given)
