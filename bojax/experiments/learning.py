@@ -137,7 +137,7 @@ class LearningRun(Experiment):
         spaces = self.env.observation_space, self.env.action_space
         self.learner.check_spaces(*spaces)
         with _located("learner"):
-            check_learner(self.learner.fitted(*spaces), *spaces)
+            check_learner(self.learner, *spaces)
         with _located("schedule"):
             check_schedule(self.schedule)
 

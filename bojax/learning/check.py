@@ -30,9 +30,12 @@ def check_learner(learner: Learner, observations: Space, actions: Space) -> None
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
     """
-    for own in [part for part in jax.tree.leaves(learner, is_leaf=_is_own) if _is_own(part)]:
+    if not (parts := [part for part in jax.tree.leaves(learner, is_leaf=_is_own) if _is_own(part)]):
+        return
+    fitted = learner.fitted(observations, actions)
+    for own in parts:
         require_arrays(own)
-        trial(own, _check_methods, learner, observations, actions, jax.random.key(0))
+        trial(own, _check_methods, fitted, observations, actions, jax.random.key(0))
 
 
 def check_schedule(schedule: Schedule) -> None:
