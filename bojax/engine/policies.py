@@ -19,6 +19,7 @@ from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
 from bojax.experiments.settings import Learning
 from bojax.learning.base import LearnerState
+from bojax.models.checks import check_count
 from bojax.numerics.trial import Misfit
 from bojax.results.store import ResultsError
 
@@ -85,8 +86,8 @@ class Policy:
 
 def check_seed(seed: int) -> None:
     """Raise a ValueError unless a seed is one that a config may have."""
-    if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**32):
-        raise ValueError(f"seed: got {seed!r}; allowed: an integer from 0 to {2**32 - 1}")
+    if check_count("seed", seed, 0) >= 2**32:
+        raise ValueError(f"seed: got {seed}; allowed: < 2^32")
 
 
 def saved_policy(folder: Path, run: int, seed: int = 0) -> Policy:

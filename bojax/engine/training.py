@@ -11,7 +11,6 @@ from typing import Any, Literal, TypeAlias
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pyarrow as pa
 from rich.console import Console
 from typing_extensions import override
@@ -33,6 +32,7 @@ from bojax.envs.base import Env
 from bojax.experiments.learning import LearningRun
 from bojax.learning.base import Learner, LearnerState
 from bojax.learning.schedules import Schedule
+from bojax.models.checks import check_count
 from bojax.results.tables import sort_rows
 
 Settings: TypeAlias = str | Mapping[str, Any] | Component
@@ -105,8 +105,7 @@ def train(
         ValueError: A number is too small, or the learner does not support the spaces of the environment.
         ConfigError: The settings are invalid.
     """
-    if not (isinstance(runs, int | np.integer) and runs >= 1):
-        raise ValueError(f"runs: got {runs!r}; allowed: an integer >= 1")
+    check_count("runs", runs, 1)
     check_seed(seed)
     if callback is not None and not callable(callback):
         raise ValueError(f"callback: got {callback!r:.60}; allowed: a function of a table")
