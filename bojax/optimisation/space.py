@@ -16,7 +16,7 @@ NUM_SLICE = 101
 SIGNIFICANT = 6
 """Significant digits of a proposed number, so that proposals stay readable."""
 
-END = 2**53
+INTEGER_LIMIT = 2**53
 """The magnitude below which float64 represents every integer."""
 
 VALUE = "value"
@@ -185,7 +185,7 @@ def _axis(name: Any, given: Any) -> Axis:
     if is_log and low <= 0:
         raise SpaceError(f"{name}: got {low:g}; allowed: > 0, for the logarithm")
     are_integers = isinstance(given[0], Integral) and isinstance(given[1], Integral)
-    if are_integers and max(abs(low), abs(high)) >= END:
+    if are_integers and max(abs(low), abs(high)) >= INTEGER_LIMIT:
         raise SpaceError(f"{name}: got {shown(given)}; allowed: integers below 2^53 in magnitude")
     number = int if are_integers else float
     return Range(name, number(low), number(high), is_log, are_integers)

@@ -255,16 +255,16 @@ def test_strength_and_the_effect_of_each_choice():
 
 
 def test_choices_concern_the_claims_whose_points_they_change():
-    concerned = declared("5.7").concerned
-    assert concerned["fig-5.6b/emu-q-linear"] == ["chain-features", "chain-alpha"]
-    assert concerned["table-5.3-mountain-car/emu-q-success"] == [
+    choices_of_claims = declared("5.7").choices_of_claims
+    assert choices_of_claims["fig-5.6b/emu-q-linear"] == ["chain-features", "chain-alpha"]
+    assert choices_of_claims["table-5.3-mountain-car/emu-q-success"] == [
         "refit",
         "terminal-u",
         "starts",
         "mountain-car-actions",
         "mountain-car-goal",
     ]
-    assert "rff-rate" in concerned["table-5.3-mountain-car/similar"]
+    assert "rff-rate" in choices_of_claims["table-5.3-mountain-car/similar"]
 
 
 def test_the_page_of_every_kind(tmp_path):

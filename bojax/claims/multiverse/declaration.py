@@ -164,7 +164,7 @@ class Declaration:
             raise ConfigError(f"{display(self.path)}: design: {error}") from error
 
     @cached_property
-    def concerned(self) -> dict[str, list[str]]:
+    def choices_of_claims(self) -> dict[str, list[str]]:
         """The choices that change a point that a claim compares, by the id of the claim."""
         found: dict[str, list[str]] = {}
         for source in self.file.sweeps:

@@ -138,7 +138,7 @@ def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
     if declaration is not None:  # texts may have been written since
         told = {"title": declaration.file.title, "reading": declaration.file.reading.strip()}
         claims = [
-            claim.model_copy(update={"choices": declaration.concerned.get(claim.id)})
+            claim.model_copy(update={"choices": declaration.choices_of_claims.get(claim.id)})
             for claim in found.claims
         ]
         found = found.model_copy(update=told | {"claims": claims})
@@ -148,10 +148,10 @@ def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
     return found
 
 
-def _described(multiverse: Multiverse, declaration: Declaration) -> Multiverse:
+def _with_declaration(multiverse: Multiverse, declaration: Declaration) -> Multiverse:
     """The outcomes with what the declaration says of them, which may have been written since."""
     claims = [
-        claim.model_copy(update={"choices": declaration.concerned.get(claim.id)})
+        claim.model_copy(update={"choices": declaration.choices_of_claims.get(claim.id)})
         for claim in multiverse.claims
     ]
     file = declaration.file
@@ -266,7 +266,7 @@ def extended(
             zip(("estimates", "low", "high", "ours"), map(list, zip(*numbers, strict=True)), strict=True)
         )
         claims.append(claim.model_copy(update={"verdicts": "".join(verdicts), **columns}))
-    extended = _described(multiverse.model_copy(update={"done": order, "claims": claims}), declaration)
+    extended = _with_declaration(multiverse.model_copy(update={"done": order, "claims": claims}), declaration)
     if len(order) == len(multiverse.configurations):
         extended = extended.model_copy(update={"best": best_of(extended)})
     return extended
