@@ -135,13 +135,8 @@ def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
             f"{path}: was made by another version of {declaration.name}; allowed: the declaration that the "
             "analysis began with, or a new --out"
         )
-    if declaration is not None:  # texts may have been written since
-        told = {"title": declaration.file.title, "reading": declaration.file.reading.strip()}
-        claims = [
-            claim.model_copy(update={"choices": declaration.choices_of_claims.get(claim.id)})
-            for claim in found.claims
-        ]
-        found = found.model_copy(update=told | {"claims": claims})
+    if declaration is not None:
+        found = _with_declaration(found, declaration)
     lengths = {len(each) for claim in found.claims for each in (claim.verdicts, claim.estimates, claim.ours)}
     if lengths - {len(found.done)}:
         raise ResultsError(f"{path}: is damaged: delete it, and run again with --resume")
