@@ -34,7 +34,9 @@ mountain-car learner.features.num_features=1000000
 """
 
 
-def test_too_large_for_the_memory(here, refusal):
+def test_too_large_for_the_memory(here, refusal, monkeypatch):
+    for module in ("config.limits", "engine.memory"):  # on a machine of 24 GB
+        monkeypatch.setattr(f"bojax.{module}.budget", lambda: 12 << 30)
     for words, message in cases(REFUSED):
         assert message in refusal(f"run {words} --runs 1 --out out")
 

@@ -322,6 +322,7 @@ def test_files_that_are_refused_in_one_line(tmp_path, name, text, message):
 
 
 def test_rasters_that_are_refused(tmp_path):
+    pytest.importorskip("rasterio")
     with pytest.raises(ValueError, match=r"no\.tif: No such file"):
         read_raster(str(tmp_path / "no.tif"))
     np.savez(tmp_path / "two.npz", a=np.ones((2, 2)), b=np.ones((2, 2)))
