@@ -49,7 +49,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
                 return code
             multiverse = extended(multiverse, declaration, evaluated(declaration, folders, numbers))
             write(out, multiverse)
-        if multiverse.best is not None and multiverse.confirmed is None:
+        if args.configurations != 0 and multiverse.best is not None and multiverse.confirmed is None:
             code, multiverse = _confirm(declaration, multiverse, out / "confirm", args, command)
             if code not in (0, 1):
                 return code

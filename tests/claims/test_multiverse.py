@@ -304,6 +304,9 @@ def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_pa
     assert whole == other
     made = outcomes.read(tmp_path / "whole")
     assert made.done == [0, 1, 2, 3] and made.best is not None and made.confirmed is not None
+    outcomes.write(tmp_path / "elsewhere", made.model_copy(update={"confirmed": None}))
+    assert run(paper, tmp_path / "elsewhere", "--resume", "--configurations", "0") == 0  # runs nothing
+    assert outcomes.read(tmp_path / "elsewhere").confirmed is None
     finds = next(each for each in made.claims if each.id == "own/finds")
     assert (
         finds.verdicts[0] == "r" and "n" in finds.verdicts

@@ -1,6 +1,6 @@
 """The figures of a multiverse analysis: specification curves (Simonsohn et al., 2020), and shares."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,9 +62,9 @@ def shares(multiverse: Multiverse) -> Drawing:
 
 def count_curve(multiverse: Multiverse) -> Drawing:
     """The number of claims that hold in each configuration, sorted, with the values of all choices below."""
-    holding = multiverse.holding()
+    holding, choices = multiverse.holding(), multiverse.declaration["choices"]
     order = np.argsort(-holding, kind="stable")
-    figure, curve, dashboard = _panels(multiverse)
+    figure, curve, dashboard = _panels(choices)
     curve.vlines(
         range(order.size), 0, holding[order], color=style.BLUE, linewidth=_width(order.size), rasterized=True
     )
@@ -75,7 +75,7 @@ def count_curve(multiverse: Multiverse) -> Drawing:
     curve.set_ylabel("claims that hold")
     curve.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     style.quiet_grid(curve)
-    _draw_dashboard(dashboard, multiverse, order, np.full(order.size, style.INK, object))
+    _draw_dashboard(dashboard, multiverse, choices, order, np.full(order.size, style.INK, object))
     return Drawing(
         figure=figure,
         title="Claims that hold together",
@@ -87,18 +87,21 @@ def count_curve(multiverse: Multiverse) -> Drawing:
 
 
 def claim_curve(multiverse: Multiverse, claim: ClaimOutcomes) -> Drawing | None:
-    """The estimate that decides a claim in each configuration, sorted, with the choices below."""
+    """The estimate that decides a claim in each configuration, sorted, above the choices that can change it.
+
+    None if no configuration has an estimate, or no choice can change it.
+    """
     estimates = np.array([np.nan if each is None else each for each in claim.estimates], np.float64)
     low, high = (
         np.array([np.nan if each is None else each for each in bounds], np.float64)
         for bounds in (claim.low, claim.high)
     )
     known = np.flatnonzero(np.isfinite(estimates))
-    if not known.size:
+    if not known.size or not (choices := multiverse.choices_of(claim)):
         return None
     order = known[np.argsort(estimates[known], kind="stable")]
     inks = np.array([INKS[code] for code in claim.verdicts], object)[order]
-    figure, curve, dashboard = _panels(multiverse)
+    figure, curve, dashboard = _panels(choices)
     places = np.arange(order.size)
     curve.vlines(
         places,
@@ -115,7 +118,7 @@ def claim_curve(multiverse: Multiverse, claim: ClaimOutcomes) -> Drawing | None:
     curve.set_ylabel("estimate")
     style.quiet_grid(curve)
     style.plain_ticks(curve.yaxis)
-    _draw_dashboard(dashboard, multiverse, order, inks)
+    _draw_dashboard(dashboard, multiverse, choices, order, inks)
     return Drawing(
         figure=figure,
         title=claim.claim,
@@ -134,7 +137,8 @@ def effect_map(multiverse: Multiverse) -> Drawing:
         for name, intervals in effects(multiverse, claim).items():
             found = [each.estimate for each in intervals if np.isfinite(each.estimate)]
             table[row, choices.index(name)] = max(found) - min(found) if found else np.nan
-    figure, grid = style.figure(1.9 + 0.24 * len(claims))
+    height = 1.9 + 0.24 * len(claims)
+    figure, grid = style.figure(height)
     axes = grid[0, 0]
     image = axes.imshow(table, cmap="cividis", vmin=0, vmax=1, aspect="auto")
     axes.set_xticks(
@@ -143,7 +147,7 @@ def effect_map(multiverse: Multiverse) -> Drawing:
     axes.set_yticks(range(len(claims)), [style.drawn_text(claim.id) for claim in claims], fontsize=8)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
-    bar = figure.colorbar(image, ax=axes, location="top", aspect=40, shrink=0.8)
+    bar = figure.colorbar(image, ax=axes, location="top", aspect=40, shrink=0.8, pad=0.2 / height)
     bar.set_label("difference of shares")
     bar.ax.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
     return Drawing(
@@ -156,26 +160,29 @@ def effect_map(multiverse: Multiverse) -> Drawing:
     )
 
 
-def _panels(multiverse: Multiverse) -> tuple[Any, Axes, Axes]:
-    rows = sum(len(choice["values"]) for choice in multiverse.declaration["choices"].values())
+def _panels(choices: Mapping[str, Any]) -> tuple[Any, Axes, Axes]:
+    rows = sum(len(choice["values"]) for choice in choices.values())
     height = 1.5 + _ROW * rows + 0.1
     figure, grid = style.figure(height, 2, 1, sharex=True, gridspec_kw={"height_ratios": [1.5, _ROW * rows]})
     return figure, grid[0, 0], grid[1, 0]
 
 
 def _draw_dashboard(
-    axes: Axes, multiverse: Multiverse, order: NDArray[np.int64], inks: Sequence[Any] | NDArray[Any]
+    axes: Axes,
+    multiverse: Multiverse,
+    choices: Mapping[str, Any],
+    order: NDArray[np.int64],
+    inks: Sequence[Any] | NDArray[Any],
 ) -> None:
-    """A row for each value of each choice, with a mark where a configuration has it."""
-    levels = multiverse.levels[order]
+    """A row for each value of these choices, with a mark where a configuration has it."""
+    names, levels = list(multiverse.declaration["choices"]), multiverse.levels[order]
     labels, row = list[str](), 0
     places = np.arange(order.size)
-    for column, (name, choice) in enumerate(multiverse.declaration["choices"].items()):
-        values = choice["values"]
+    for name, choice in choices.items():
         if row:
             axes.axhline(row - 0.5, color="#E4E4E4", linewidth=0.7)
-        for level, value in enumerate(values):
-            has = levels[:, column] == level
+        for level, value in enumerate(choice["values"]):
+            has = levels[:, names.index(name)] == level
             axes.vlines(
                 places[has],
                 row - 0.38,

@@ -102,6 +102,15 @@ class Multiverse(Recorded):
         """The entries that are claims."""
         return [claim for claim in self.claims if claim.entry_class == "claim"]
 
+    def choices_of(self, claim: ClaimOutcomes) -> dict[str, Any]:
+        """The choices that can change a claim, as declared, by name.
+
+        In a fraction of all combinations, choices are confounded with each other: one that concerns other
+        sweeps alone would seem to have an effect.
+        """
+        choices = self.declaration["choices"].items()
+        return {name: each for name, each in choices if claim.choices is None or name in claim.choices}
+
     def holding(self) -> NDArray[np.int64]:
         """The number of claims that hold in each evaluated configuration."""
         table = np.array([[code == "r" for code in claim.verdicts] for claim in self.counted])
@@ -328,21 +337,14 @@ def distance(claims: Iterable[ClaimOutcomes], place: int) -> float:
 
 
 def effects(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, list[statistics.Interval]]:
-    """The share of configurations in which a claim holds, for each value of each choice that concerns it.
-
-    In a fraction of all combinations, choices are confounded with each other: one that concerns other sweeps
-    alone would seem to have an effect.
-    """
-    levels = multiverse.levels
-    found = {}
-    for column, (name, choice) in enumerate(multiverse.declaration["choices"].items()):
-        if claim.choices is not None and name not in claim.choices:
-            continue
-        sizes = range(len(choice["values"]))
+    """The share of configurations in which a claim holds, for each value of each choice that concerns it."""
+    names, found = list(multiverse.declaration["choices"]), {}
+    for name, choice in multiverse.choices_of(claim).items():
+        levels = multiverse.levels[:, names.index(name)]
         found[name] = [
-            claim.share(levels[:, column] == level)
-            if (levels[:, column] == level).any()
+            claim.share(levels == level)
+            if (levels == level).any()
             else statistics.Interval(math.nan, math.nan, math.nan)
-            for level in sizes
+            for level in range(len(choice["values"]))
         ]
     return found
