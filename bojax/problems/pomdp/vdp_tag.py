@@ -79,17 +79,20 @@ class VdpTag(ReadingProblem):
     def drift(self, target: Float[Array, "2"]) -> Float[Array, "2"]:
         """The target's next position without noise: x' = mu (x - x^3 / 3 - y), y' = x / mu, by RK4."""
 
-        def velocity(position: Float[Array, "2"]) -> Float[Array, "2"]:
-            x, y = position[0], position[1]
-            return jnp.stack([self.damping * (x - x**3 / 3.0 - y), x / self.damping])
+        # The coordinates are scalars within a substep: a vector at each of its stages would be a kernel of its
+        # own on a GPU. A vector after each substep lets a CPU compute many lanes at once.
+        def velocity(x: Float[Array, ""], y: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+            return self.damping * (x - x**3 / 3.0 - y), x / self.damping
 
         step = self.time_step
         for _ in range(self.num_substeps):
-            first = velocity(target)
-            second = velocity(target + 0.5 * step * first)
-            third = velocity(target + 0.5 * step * second)
-            fourth = velocity(target + step * third)
-            target = target + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+            x, y = target
+            x1, y1 = velocity(x, y)
+            x2, y2 = velocity(x + 0.5 * step * x1, y + 0.5 * step * y1)
+            x3, y3 = velocity(x + 0.5 * step * x2, y + 0.5 * step * y2)
+            x4, y4 = velocity(x + step * x3, y + step * y3)
+            slopes = jnp.stack([x1 + 2.0 * x2 + 2.0 * x3 + x4, y1 + 2.0 * y2 + 2.0 * y3 + y4])
+            target = target + step / 6.0 * slopes
         return target
 
     def move(self, agent: Float[Array, "2"], angle: Float[Array, ""]) -> Float[Array, "2"]:
