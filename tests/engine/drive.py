@@ -35,20 +35,6 @@ def run_sweep(
     return run_sweeps([Request(sweep, out)], resume, command, indices=devices)
 
 
-def run_toys(out: Path, *, resume: bool = False, **sweeps: dict) -> int:
-    """Run or resume several toy sweeps as one plan, in folders of their names; the exit code."""
-    from bojax.engine.run import run_sweeps
-    from bojax.engine.targets import Request
-    from tests.toy import toy_sweep
-
-    requests = []
-    for name, settings in sweeps.items():
-        points = settings.get("points", ())
-        others = {key: value for key, value in settings.items() if key != "points"}
-        requests.append(Request(toy_sweep(*points, name=name, **others), out / name))
-    return run_sweeps(requests, resume, COMMAND)
-
-
 def plan_toy(out: Path, *points: dict, **settings) -> None:
     """Start a toy sweep that is left to workers."""
     from bojax.engine.plan import make_plan
@@ -136,6 +122,4 @@ if __name__ == "__main__":
 
         knows_toys(pytest.MonkeyPatch())
         leave(main("worker", [given["out"], *given["words"]]))
-    if "sweeps" in given:
-        leave(run_toys(Path(given["out"]), **given["sweeps"]))
     leave(run_toy(Path(given.pop("out")), *given.pop("points", ()), **given))

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from bojax.results.folder import RunFolder, check_finished, check_plan, choose_folder, is_unfinished
+from bojax.results.folder import (
+    NothingToResume,
+    RunFolder,
+    check_finished,
+    check_plan,
+    choose_folder,
+    is_unfinished,
+)
 from bojax.results.store import MANIFEST, ResultsError, read_manifest, write_json
 from tests.refusals import one_line
 
@@ -54,6 +61,16 @@ def test_an_empty_folder_is_used_and_one_with_other_content_is_refused(tmp_path)
         assert error.value.exit_code == 2
     with pytest.raises(ResultsError, match="not a folder"):
         choose_folder("parking", tmp_path / "thesis.tex", resume=False)
+
+
+def test_the_newest_unfinished_folder_is_resumed(here):
+    with pytest.raises(NothingToResume, match="no unfinished sweep to resume"):
+        choose_folder("parking", None, resume=True)
+    for number in (1, 2, 3):
+        folder = RunFolder(Path(f"results/parking/2026010{number}-000000"))
+        folder.create(PLAN)
+        folder.close(finished=number == 3)
+    assert choose_folder("parking", None, resume=True) == (Path("results/parking/20260102-000000"), True)
 
 
 def test_a_folder_in_the_results_of_another_sweep_is_refused(tmp_path):
