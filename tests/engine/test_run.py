@@ -9,10 +9,8 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch, chunks, compiler, execute, program_cache, tasks
 from bojax.engine.chunks import Layout
@@ -25,7 +23,6 @@ from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import NEEDS_CPU, contents, one_error, run_toy, start_toy
-from tests.refusals import one_line
 from tests.tiers import by_tier
 from tests.toy import Toy, toy_sweep
 
@@ -116,11 +113,6 @@ def test_timings(folder):
     assert all(seconds > 0 for seconds in timings["seconds"].to_pylist())
 
 
-def test_files_are_of_one_row_group(folder):
-    for name in ("runs", "steps"):
-        assert pq.ParquetFile(folder / f"{name}.parquet").num_row_groups == 1
-
-
 def test_chunks_and_segments_change_nothing(folder, tmp_path):
     out = tmp_path / "toy"
     assert run_toy(out, runs=RUNS, lanes_per_device=5, segment_seconds=1e-6) == 0
@@ -187,13 +179,6 @@ def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, mo
     assert run_sweeps([Request(quick, tmp_path / "begun")], True, ["bojax"]) == 0
     assert read_manifest(tmp_path / "begun")["device"]["platform"] == "gpu"
     assert contents(tmp_path / "begun") == contents(tmp_path / "quick")
-
-
-@pytest.mark.bits
-def test_any_number_of_workers_gives_the_same_bytes(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("bojax.engine.devices.usable_cores", lambda: 5)
-    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
-    assert contents(tmp_path / "toy") == contents(folder)
 
 
 @NEEDS_CPU
@@ -271,13 +256,6 @@ def test_nans_are_counted(tmp_path, capsys):
     assert f"warning: {(expected > 0).sum()} runs contain NaN" in capsys.readouterr().err
 
 
-def test_unwritable_folder(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert run_toy(tmp_path / "file" / "out") == 2
-    line = one_error(capsys)
-    assert "cannot be written" in line
-
-
 def test_no_gpu(tmp_path, capsys, monkeypatch):
     find = jax.devices
 
@@ -290,16 +268,6 @@ def test_no_gpu(tmp_path, capsys, monkeypatch):
     assert run_toy(tmp_path / "toy", device="gpu") == 2
     line = one_error(capsys)
     assert "engine.device: got gpu" in line and "engine.device=auto" in line
-    assert not (tmp_path / "toy").exists()
-
-
-def test_settings_that_a_constructor_refuses(tmp_path, capsys, monkeypatch):
-    def refuse(component, dtype, locate):
-        raise ConfigError(f"{locate(('problem', 'size'))}: got -1; allowed: > 0")
-
-    monkeypatch.setattr("bojax.engine.plan.build", refuse)
-    assert run_toy(tmp_path / "toy") == 2
-    assert one_error(capsys) == "error: point 0: problem.size: got -1; allowed: > 0"
     assert not (tmp_path / "toy").exists()
 
 
@@ -335,12 +303,11 @@ def test_full_disk_at_a_checkpoint(tmp_path, capsys, monkeypatch):
     assert "the disk is full" in line
 
 
-@pytest.mark.parametrize("program", ["advance", "fill"])
-def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch, program):
+def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch):
     def exhausted(self, *_):
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 99 bytes.")
 
-    monkeypatch.setattr(batch.Programs, program, exhausted)
+    monkeypatch.setattr(batch.Programs, "advance", exhausted)
     assert run_toy(tmp_path / "toy", {"scale": 1.0}, runs=64, lanes_per_device=16) == 1
     line = one_error(capsys)
     assert "16 lanes per device: try engine.lanes_per_device=8" in line
@@ -431,36 +398,6 @@ def test_an_error_of_a_worker_thread_is_not_taken_for_the_end(tmp_path, monkeypa
     monkeypatch.setattr(Scheduler, "release", fail)
     with pytest.raises(RuntimeError, match="a bug"):
         run_toy(tmp_path / "toy", {"scale": 1.0}, runs=2)
-
-
-def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(compiler, "compile_threads", lambda: 1)
-    lengths = {"short": (18,), "long": (4, 16)}
-    sweeps = [
-        toy_sweep(*({"max_length": each} for each in of_sweep), runs=2, name=name)
-        for name, of_sweep in lengths.items()
-    ]
-    requests = [Request(sweep, tmp_path / sweep.name) for sweep in sweeps]
-    assert run_sweeps(requests, False, ["bojax", "sweep", *lengths]) == 0
-    started = [line for line in capsys.readouterr().err.splitlines() if line.startswith("compiling ")]
-    groups = [("long", 16), ("long", 4), ("short", 18)]
-    assert started == [f"compiling {name}: max_length={length} ..." for name, length in groups]
-
-
-def test_the_programs_of_a_group_are_compiled_before_those_of_the_next(tmp_path, monkeypatch):
-    compiled = []
-
-    class Noted(batch.Programs):
-        def __init__(self, functions, device, num_lanes, *others, **options):
-            compiled.append((functions.group.index, num_lanes))
-            super().__init__(functions, device, num_lanes, *others, **options)
-
-    monkeypatch.setattr(tasks, "Programs", Noted)
-    monkeypatch.setattr(compiler, "compile_threads", lambda: 1)
-    monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2, 1), 1))
-    assert run_toy(tmp_path / "toy", {"max_length": 20}, {"max_length": 10}, runs=4) == 0
-    assert compiled == [(0, 4), (0, 2), (0, 1), (1, 4), (1, 2), (1, 1)][: len(compiled)]
-    assert len(compiled) >= 4
 
 
 def test_a_failed_sweep_does_not_stop_the_others_and_is_tried_again(tmp_path, capsys, monkeypatch):
@@ -567,13 +504,6 @@ def test_an_experiment_that_does_not_end(tmp_path, capsys, monkeypatch):
     assert run_toy(out) == 1
     assert "runs are not done after 3 advances" in read_manifest(out)["chunks"][0]["error"]
     assert "runs are not done after 3 advances" in capsys.readouterr().err
-
-
-def test_truncated_results(folder, tmp_path):
-    whole = (folder / "runs.parquet").read_bytes()
-    (tmp_path / "runs.parquet").write_bytes(whole[: len(whole) // 2])
-    with one_line(ResultsError, "was it truncated"):
-        read_table(tmp_path / "runs.parquet")
 
 
 def test_finished_sweep_resumed(folder, capsys):

@@ -8,7 +8,7 @@ import numpy as np
 from bojax.engine import scheduler
 from bojax.engine.chunks import Chunk, Layout
 from bojax.engine.scheduler import Scheduler
-from bojax.engine.tasks import GroupTask, ProgramKey
+from bojax.engine.tasks import GroupTask, ProgramKey, longest_first
 
 
 class Device(NamedTuple):
@@ -65,6 +65,12 @@ def taken(plan: Scheduler, device: Device) -> tuple[str, int] | None:
 
 def named(keys) -> list[tuple[str, int, int]]:
     return [(key.task.name, key.device.number, key.width) for key in keys]
+
+
+def test_the_longest_sweep_comes_first_and_in_it_the_longest_group(monkeypatch):
+    monkeypatch.setattr(Task, "most_steps", property(lambda task: len(task.chunks)))
+    short, brief, long = Task("short", 18, 4), Task("brief", 4, 4), Task("long", 16, 4)
+    assert longest_first([[short], [brief, long]]) == [long, brief, short]
 
 
 def test_groups_run_in_their_order_as_soon_as_they_are_compiled():
