@@ -35,14 +35,12 @@ def run_sweep(
     return run_sweeps([Request(sweep, out)], resume, command, indices=devices)
 
 
-def plan_toy(out: Path, *points: dict, **settings) -> None:
-    """Start a toy sweep that is left to workers."""
+def plan_sweep(sweep, out: Path) -> None:
+    """Start a sweep that is left to workers."""
     from bojax.engine.plan import make_plan
     from bojax.engine.sweep_run import SweepRun
     from bojax.engine.targets import Target
-    from tests.toy import toy_sweep
 
-    sweep = toy_sweep(*points, **settings)
     target = Target(sweep, out, is_resumed=False, may_rename=False)
     run = SweepRun(make_plan(sweep, jax.devices()[:1]), target, COMMAND)
     run.open()
