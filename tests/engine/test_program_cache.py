@@ -141,18 +141,6 @@ def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(
     same_bits(advanced(compiled), advanced(loaded))
 
 
-def test_programs_that_jax_has_kept_are_saved_without_a_compilation(cache):
-    # As after a change of code that does not change the programs.
-    expected = advanced(programs_of(group_of()))
-    for path in [*groups_in(cache), *programs_in(cache)]:
-        path.unlink()
-    jax.clear_caches()
-    count = batch.compile_counts.total()
-    found = advanced(programs_of(group_of()))
-    assert batch.compile_counts.total() == count and len(groups_in(cache)) == 1
-    jax.tree.map(np.testing.assert_array_equal, found, expected)
-
-
 def spoil(path, how):
     """Change the bytes in the middle of a file, or put something else in its place."""
     whole = path.read_bytes()
@@ -233,12 +221,6 @@ def test_only_the_last_programs_are_held(cache):
         assert program_cache.held_programs("11", DEVICE) is None
         assert [program_cache.held_programs(str(number), DEVICE) for number in range(12, 20)] == held[12:]
     assert program_cache.held_programs("19", DEVICE) is None and not files(cache)
-
-
-def test_groups_with_a_program_in_common_are_both_saved(cache):
-    for episodes in (2, 3):
-        programs_of(group_of(episodes=episodes))
-    assert len(groups_in(cache)) == 2
 
 
 def test_a_kill_between_two_programs_costs_those_that_were_not_compiled(cache, monkeypatch, compiled):
@@ -411,9 +393,8 @@ def test_entries_that_are_not_used_are_deleted(cache):
     for name, days in (("old", 40), ("new", 3)):
         (cache / name).write_bytes(b"")
         os.utime(cache / name, times=(time.time() - days * 86400,) * 2)
-    programs_of(group_of())
-    names = [path.name for path in files(cache)]
-    assert "old" not in names and "new" in names and len(groups_in(cache)) == 2
+    assert program_cache.save("key", [], 0)
+    assert [path.name for path in files(cache)] == ["key", "new"]
 
 
 @pytest.mark.parametrize("folder", [None, "gs://bucket/cache"])
@@ -467,28 +448,21 @@ def test_several_devices_trace_a_program_once(cache, monkeypatch, tmp_path):
     assert len(exported) == len(programs_in(cache))
 
 
-def test_options_of_the_compiler_for_a_cpu_give_way_to_flags_of_the_user(monkeypatch):
-    given = []
-    program = program_cache.Program.of_trees(lambda x: x + 1, np.zeros(2))
-    made = program.compile("two", DEVICE)
+def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_of_the_user(monkeypatch):
+    given, of_trees = [], program_cache.Program.of_trees
+    quick, gains = (
+        of_trees(lambda x: x + 1, np.zeros(2), gains_from_passes=gains_from_passes)
+        for gains_from_passes in (False, True)
+    )
+    made, saved = quick.compile("two", DEVICE), gains.export(DEVICE).serialized()
     monkeypatch.setattr(jax.stages.Lowered, "compile", lambda _, options: given.append(options) or made)
-    for flags in ("", "--xla_backend_optimization_level=3"):
-        monkeypatch.setenv("XLA_FLAGS", flags)
-        program.compile("two", DEVICE)
-    passes = {"xla_llvm_disable_expensive_passes": True}
-    assert given == [{"xla_backend_optimization_level": 1} | passes, passes]
-
-
-def test_programs_that_gain_from_xlas_passes_get_them_also_after_they_were_saved(monkeypatch):
-    given = []
     monkeypatch.delenv("XLA_FLAGS", raising=False)
-    program = program_cache.Program.of_trees(lambda x: x + 1, np.zeros(2), gains_from_passes=True)
-    made = program.compile("two", DEVICE)
-    monkeypatch.setattr(jax.stages.Lowered, "compile", lambda _, options: given.append(options) or made)
-    content = program.export(DEVICE).serialized()
-    for each in (program, program_cache.Program.deserialized(content)):
-        each.compile("two", DEVICE)
-    assert [options["xla_backend_optimization_level"] for options in given] == [3, 3]
+    for program in (quick, gains, program_cache.Program.deserialized(saved)):
+        program.compile("two", DEVICE)
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=3")
+    quick.compile("two", DEVICE)
+    assert all(options.pop("xla_llvm_disable_expensive_passes") for options in given)
+    assert given == [*({"xla_backend_optimization_level": level} for level in (1, 3, 3)), {}]
 
 
 @pytest.mark.parametrize("proposal, gains", [("gp", True), ("random", False)])
