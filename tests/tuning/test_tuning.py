@@ -11,10 +11,8 @@ import sys
 import time
 from pathlib import Path
 
-import jax
 import pytest
 import yaml
-from jax.experimental.compilation_cache import compilation_cache
 
 from bojax.api.errors import BojaxError
 from bojax.api.results import TuningResults
@@ -27,6 +25,7 @@ from bojax.results.folder import make_new
 from bojax.tuning.page import read_tuning
 from bojax.tuning.rounds import _Rounds
 from tests.engine.here import Here
+from tests.engine.test_program_cache import caching_in
 from tests.transcript import cases
 
 ROOT = Path(__file__).parents[2]
@@ -40,19 +39,6 @@ WORDS = [*CHAIN, *RANGES, *OPTIONS, *OFTEN]
 
 def tune(out, *more: str, rounds: int = 3) -> int:
     return main(["tune", *WORDS, "--budget", str(12 * rounds), "--out", str(out), *more])
-
-
-def killed(out, statements: str, rounds: int = 3) -> None:
-    """Run a search in a process of its own that ends itself by SIGKILL."""
-    code = (
-        "import os, signal, sys, tests.strict\n"
-        "from bojax.cli.main import main\n"
-        f"{statements}\n"
-        "main(sys.argv[1:])\n"
-    )
-    words = ["tune", *WORDS, "--budget", str(12 * rounds), "--out", str(out)]
-    found = subprocess.run([sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, timeout=300)
-    assert found.returncode == -signal.SIGKILL, found.stderr.decode()
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -122,18 +108,6 @@ def test_the_score_is_the_mean_over_the_runs_of_a_point(undisturbed):
         assert scores.mean() == pytest.approx(point.score, rel=1e-12)
 
 
-@pytest.fixture
-def empty_cache(tmp_path):
-    """An empty cache of programs, beside an empty one of JAX."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
-    compilation_cache.reset_cache()
-    yield
-    jax.config.update("jax_compilation_cache_dir", before)
-    compilation_cache.reset_cache()
-
-
-@pytest.mark.usefixtures("empty_cache")
 def test_later_rounds_compile_nothing(tmp_path, monkeypatch):
     counts, original = [batch.compile_counts.total()], _Rounds._learn
 
@@ -142,41 +116,35 @@ def test_later_rounds_compile_nothing(tmp_path, monkeypatch):
         original(self, number, folder)
 
     monkeypatch.setattr(_Rounds, "_learn", learn)
-    assert tune(tmp_path / "search", "--confirm", "0") == 0
+    with caching_in(tmp_path / "cache"):
+        assert tune(tmp_path / "search", "--confirm", "0") == 0
     before, first, second, third = counts
     assert before < first == second == third
 
 
-@pytest.mark.slow
-def test_killed_between_rounds_and_resumed(tmp_path, undisturbed):
-    out = tmp_path / "search"
-    killed(
-        out,
-        "from bojax.optimisation.search import Search\n"
-        "propose = Search.propose\n"
-        "def stop(self, number):\n"
-        "    if self._seen: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    return propose(self, number)\n"
-        "Search.propose = stop",
-    )
-    assert [path.name for path in (out / "rounds").iterdir()] == ["000"]
-    assert tune(out, "--resume") == 0
-    assert contents(out) == contents(undisturbed)
+KILLED = """
+import os, signal, sys, tests.strict
+from bojax.cli.main import main
+from bojax.engine.runner import ChunkRunner
+segment, count = ChunkRunner._segment, [0]
+def stop(self):
+    if os.path.isdir(sys.argv[-1] + "/rounds/001"): count[0] += 1
+    if count[0] > 1: os.kill(os.getpid(), signal.SIGKILL)
+    return segment(self)
+ChunkRunner._segment = stop
+main(sys.argv[1:])
+"""
+"""A search that ends itself in its second round."""
 
 
 @pytest.mark.bits
 def test_killed_inside_a_round_and_resumed(tmp_path, undisturbed):
     out = tmp_path / "search"
-    killed(
-        out,
-        "from bojax.engine.runner import ChunkRunner\n"
-        "segment, count = ChunkRunner._segment, [0]\n"
-        "def stop(self):\n"
-        "    if os.path.isdir(sys.argv[-1] + '/rounds/001'): count[0] += 1\n"
-        "    if count[0] > 1: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    return segment(self)\n"
-        "ChunkRunner._segment = stop",
+    words = ["tune", *WORDS, "--budget", "36", "--out", str(out)]
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, *words], cwd=ROOT, capture_output=True, timeout=300
     )
+    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     assert (out / "rounds" / "001" / ".work").is_dir()
     assert tune(out, "--resume") == 0
     assert contents(out) == contents(undisturbed)
@@ -210,15 +178,6 @@ def test_workers_of_a_launcher_run_the_rounds(tmp_path, undisturbed, monkeypatch
     assert tune(out, "--launcher", "ray") == 0
     assert contents(out) == contents(undisturbed)
     assert closed == [4]  # three rounds and the confirmation by the same workers
-
-
-@pytest.mark.slow
-def test_a_finished_search_is_extended(tmp_path, undisturbed):
-    out = tmp_path / "search"
-    assert tune(out, "--confirm", "0", rounds=2) == 0
-    assert tune(out, "--resume", "--confirm", "0", rounds=3) == 0
-    first, second = read_tuning(out), read_tuning(undisturbed)
-    assert [each.values for each in first.points] == [each.values for each in second.points]
 
 
 def test_a_finished_search_goes_on_where_it_ended(tmp_path, undisturbed):
