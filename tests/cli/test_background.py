@@ -6,13 +6,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bojax.cli.background import Reports
+from tests.engine.clusters import wait_until
 
 KILLED = """
 import os, signal
@@ -30,13 +30,6 @@ def is_running(pid: int) -> bool:
     except OSError:  # it has ended
         return False
     return stat.rpartition(")")[2].split()[0] != "Z"  # a zombie has ended too, but nobody has waited for it
-
-
-def wait_until(holds: Callable[[], bool], seconds: float) -> None:
-    deadline = time.monotonic() + seconds
-    while not holds() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert holds()
 
 
 def test_the_processes_end_if_the_main_process_is_killed(tmp_path):

@@ -65,16 +65,6 @@ print([main(words) for words in commands])
     assert (tmp_path / "page" / "comparison.html").exists() and (tmp_path / "lake" / "report.html").exists()
 
 
-def test_sweeps_are_refused_in_one_line_each(tmp_path):
-    commands = ["run chain", "sweep parking", "reproduce fig-5.3", "tune chain", "worker x"]
-    code = f"from bojax.cli.main import main; print([main(words.split()) for words in {commands!r}])"
-    ended = run(code, tmp_path)
-    assert ended.stdout == "[2, 2, 2, 2, 2]\n", ended.stderr
-    for command, line in zip(commands, ended.stderr.splitlines(), strict=True):
-        assert f"bojax {command.split()[0]}: needs Linux or macOS, on Windows " in line
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_files_are_synced_and_folders_are_not_opened(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "IS_POSIX", False)
     synced, opened = [], os.open
