@@ -2,7 +2,6 @@
 
 import csv
 import json
-import re
 from functools import partial
 
 import numpy as np
@@ -20,12 +19,14 @@ from bojax.experiments.planning import PlanningEpisode  # noqa: E402
 from bojax.report import surveying  # noqa: E402
 from bojax.report.surveying import _distance, survey_summary  # noqa: E402
 from bojax.surveys import model, planning, simulated  # noqa: E402
+from bojax.surveys.remarks import remarks  # noqa: E402
 from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.team import least_distance  # noqa: E402
 from bojax.surveys.turns import least_radius  # noqa: E402
 from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
 from tests.fields.test_raster_files import write_tif  # noqa: E402
 from tests.runs import run, tables  # noqa: E402
+from tests.surveys.test_model import notes_of  # noqa: E402
 from tests.transcript import cases  # noqa: E402
 
 
@@ -255,23 +256,15 @@ def test_an_earlier_survey_must_vary(here, refusal):
         assert refusal(f"survey 100x100 --prior {file}").startswith(f"{file}: {message}")
 
 
-@pytest.mark.parametrize(
-    ("at", "factor", "note"),
-    [
-        (20.0, 1.0, None),
-        (5000.0, 1.0, "no value lies in the area: the model is learned from a field elsewhere."),
-        (20.0, 1e9, "the values have a standard deviation of 1.41e+09; check their unit.\n"),
-    ],
-)
-def test_an_earlier_survey_elsewhere_or_in_an_unlikely_unit_is_named(
-    here, monkeypatch, capsys, at, factor, note
-):
-    monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
-    rows = [f"{at + i},{i % 7},{factor * (i % 5 - 9)}" for i in range(30)]
-    (here / "old.csv").write_text("x,y,z\n" + "\n".join(rows))
-    planned(here / "out", "100x100", "--prior", "old.csv", "--budget", "300", "--lawnmower")
-    out = capsys.readouterr().out
-    assert f"note: old.csv: {note}" in out if note else "note: old.csv" not in out
+def test_an_earlier_survey_elsewhere_or_in_an_unlikely_unit_is_named(here, monkeypatch):
+    for at, factor, expected in (
+        (20.0, 1.0, []),
+        (5000.0, 1.0, ["no value lies in the area: the model is learned from a field elsewhere."]),
+        (20.0, 1e9, ["the values have a standard deviation of 1.41e+09; check their unit."]),
+    ):
+        rows = [f"{at + i},{i % 7},{factor * (i % 5 - 9)}" for i in range(30)]
+        (here / "old.csv").write_text("x,y,z\n" + "\n".join(rows))
+        assert [*notes_of(monkeypatch, "old.csv", "100x100")] == [f"old.csv: {note}" for note in expected]
 
 
 def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
@@ -291,17 +284,6 @@ def check_planners(config, sweep) -> None:
     for point in points:
         assert point.config.problem == points[0].config.problem
         PlanningEpisode(problem, build(point.config.planner))
-
-
-def test_the_config_of_a_survey_runs_as_it_is(tmp_path):
-    out, runs = tmp_path / "survey", tmp_path / "runs"
-    words = ["--budget", "500", "--lengthscale", "60", "--start", "20,30", "--lawnmower"]
-    planned(out, "300x200", *words)
-    changed = ["planner=random", "planner.motions.length=60", "planner.motions.num_samples=5"]
-    run(runs, str(out / "simulation.yaml"), *changed, "--runs", "2", has_report=True)
-    (steps,) = tables(runs, "steps")
-    assert 400.0 < max(steps["distance"]) <= 500.0 + 1e-6
-    assert read_mapping(out / "simulation.yaml", "")["problem"]["start"][:2] == [20.0, 30.0]
 
 
 def test_the_config_of_a_survey_has_its_area_and_its_ends(tmp_path):
@@ -362,51 +344,39 @@ def test_the_turns_that_are_written_have_the_radius(tmp_path, plan):
     assert ("left out for the turns" in settings) == (plan == "--spacing 30")
 
 
-def test_a_budget_of_which_little_can_be_used_is_named(tmp_path, capsys):
-    for budget, words, reason in (
-        (800.0, "--turning-radius 60", "no longer route that was tried has turns of 60 m in the area"),
-        (3000.0, "--spacing 50 --lawnmower", "lines are not closer than --spacing, 50 m"),
-        (9e8, "--lawnmower", "more than 10,000 lines are not tried"),
-    ):
-        out = tmp_path / f"{budget:g}"
-        assert main(["survey", "300x110", "--budget", f"{budget}", *words.split(), "--out", str(out)]) == 0
-        length = json.loads((out / "survey.json").read_text())["candidates"][0]["length"]
-        used = f"Only {length:.4g} m ({100 * length / budget:.2g}%) of the budget of {budget:.6g} m are used"
-        printed = capsys.readouterr().out
-        assert f"note: {used}: {reason}.\n" in printed and "Nothing is measured" not in printed, reason
+REMARKS = """\
+length=5
+=> Nothing is measured: the proposed route is shorter than 10 m, the distance between two measurements
+   (--sampling).
+length=40 budget=100 turning_radius=60
+=> Only 40 m (40%) of the budget of 100 m are used: no longer route that was tried has turns of 60 m in the
+   area.
+length=40 budget=100 spacing=50
+=> Only 40 m (40%) of the budget of 100 m are used: lines are not closer than --spacing, 50 m. --spacing: with
+   a budget, it is only the least distance between the lines of lawnmowers.
+length=60 left_out=0.2 turning_radius=6
+=> The proposed lawnmower leaves out 20% of its waypoints, since they leave too little room for turns of 6 m.
+length=60 separation=5
+=> --separation: one robot does not use it.
+"""
 
 
-def test_a_lawnmower_that_loses_waypoints_to_its_turns_is_named(tmp_path, capsys):
-    area = write_ascii(tmp_path / "a.asc")
-    for plan in ("--budget 500 --lawnmower", "--spacing 15"):
-        named = []
-        for radius in ("0.5", "6"):
-            out = tmp_path / f"{plan[2]}-{radius}"
-            words = [area, *plan.split(), "--turning-radius", radius, "--out", str(out)]
-            assert main(["survey", *words]) == 0
-            found = re.search(
-                r"note: The proposed lawnmower leaves out ([\d.]+)% of its", capsys.readouterr().out
-            )
-            named.append(0 if found is None else float(found[1]))
-        assert named[0] == 0 < named[1] <= 33, plan
+def test_what_a_survey_does_not_use_or_measure_is_named():
+    for words, expected in [("length=60 budget=100", ""), *cases(REMARKS)]:
+        given = {name: float(value) for name, value in (word.split("=") for word in words.split())}
+        route = np.array([[0.0, 0.0], [given.pop("length"), 0.0]])
+        none = np.zeros(0)
+        chosen = planning.Candidate("lawnmower", "", (route,), none, none, given.pop("left_out", 0.0))
+        survey = planning.Survey((chosen,), none, 1.0, none, none, none, 10.0, None, share=1.0)
+        field = model.assumed_model(1e4, None)
+        assert " ".join(remarks(survey, planning.Demand(**given), field, None)) == expected
 
 
-def test_a_route_without_a_measurement_is_named(tmp_path, capsys):
-    words = ["100x100", "--budget", "300", "--sampling", "5km", "--lawnmower", "--out", str(tmp_path / "out")]
-    assert main(["survey", *words]) == 0
-    assert "note: Nothing is measured: the proposed route is shorter than 5000 m" in capsys.readouterr().out
-
-
-def test_what_a_survey_does_not_use_is_noted(tmp_path, capsys):
-    words = ["300x200", "--budget", "999.7", "--lawnmower"]
-    planned(tmp_path / "plain", *words)
-    assert "note: --" not in capsys.readouterr().out
-    planned(tmp_path / "noted", *words, "--spacing", "25", "--separation", "5")
-    printed = capsys.readouterr().out
-    assert "note: --separation: one robot does not use it." in printed
-    assert "note: --spacing: with a budget, it is only the least distance between the lines" in printed
-    plain, noted = ((tmp_path / name / "waypoints.csv").read_bytes() for name in ("plain", "noted"))
-    assert plain == noted
+def test_a_budget_of_which_lawnmowers_use_little_is_named(tmp_path, capsys):
+    survey = planned(tmp_path / "out", "300x110", "--budget", "9e8", "--lawnmower")
+    length = survey["candidates"][0]["length"]
+    used = f"Only {length:.4g} m ({100 * length / 9e8:.2g}%) of the budget of 9e+08 m are used"
+    assert f"note: {used}: more than 10,000 lines are not tried.\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
