@@ -5,7 +5,6 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 from jaxtyping import PyTree
@@ -42,17 +41,17 @@ class Sink(abc.ABC):
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
         """Write the exported state of the learner of a run."""
 
-    @abc.abstractmethod
     def save(self, carry: Carry) -> None:
         """Save a checkpoint, possibly in the background; the carry may be given away at once."""
+        return
 
     def wait(self) -> None:
         """Wait until the last checkpoint is saved."""
         return
 
-    @abc.abstractmethod
     def load(self, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
         """The carry of the last checkpoint."""
+        raise NotImplementedError("this sink saves no checkpoints")
 
     @abc.abstractmethod
     def finish(self) -> None:
@@ -121,7 +120,7 @@ class FolderSink(Sink):
 
 
 class MemorySink(Sink):
-    """Keeps everything in memory."""
+    """Keeps everything in memory, except for checkpoints."""
 
     def __init__(self, *, recorded_runs: int = 0, saved_learners: int = 0):
         self.state = ChunkState()
@@ -130,7 +129,6 @@ class MemorySink(Sink):
         # Named arrays by point, run and name; states of learners by point and run
         self.snapshots: dict[tuple[int, int, str], dict[str, np.ndarray]] = {}
         self.learned: dict[tuple[int, int], PyTree] = {}
-        self._checkpoint: Carry | None = None
 
     @override
     def write_piece(self, tables: dict[str, pa.Table]) -> None:
@@ -146,20 +144,5 @@ class MemorySink(Sink):
         self.learned[point, run] = learned
 
     @override
-    def save(self, carry: Carry) -> None:
-        self.state.checkpoint = f"after {self.state.advances} advances"
-        self._checkpoint = _copy(carry)
-
-    @override
-    def load(self, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
-        return _copy(self._checkpoint)
-
-    @override
     def finish(self) -> None:
         self.state.finish()
-        self._checkpoint = None
-
-
-def _copy(carry: Carry) -> Carry:
-    """A copy, since an advance takes over the buffers of its carry."""
-    return jax.tree.map(jnp.copy, carry)

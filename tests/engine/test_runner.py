@@ -16,9 +16,10 @@ from bojax.engine.chunks import Layout, choose_layout, cut
 from bojax.engine.errors import Stopped
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
-from bojax.engine.sinks import FolderSink, MemorySink, Sink
+from bojax.engine.sinks import FolderSink, MemorySink
 from bojax.learning.settings import EMUQ, RFFQ, EMUQPublished
 from bojax.results.chunk_folder import ChunkFolder
+from bojax.results.store import read_table
 from bojax.results.tables import sort_rows
 from tests.tiers import by_tier
 from tests.toy import Toy, toy
@@ -190,49 +191,23 @@ def reopened(path) -> ChunkFolder:
     return files
 
 
-def run_for_a_segment(chunk, layout: Layout, sink: Sink, count: int = 1) -> int:
-    """Run a chunk for a segment, or for some; the number of steps that all its lanes could have made."""
-    seen = []
-    limits = Limits(1e-9, float("inf"), lambda: len(seen) >= count)
-    run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append))
-    return sum(segment.issued_steps for segment in seen)
-
-
 @pytest.mark.bits
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_stopped_and_resumed_after_every_segment(name):
-    layout, sinks, issued = LAYOUTS[name], [], 0
+@pytest.mark.parametrize("name", by_tier(LAYOUTS, normal=["refilled and narrowed", "two queues"]))
+def test_stopped_and_resumed_after_some_segments(name, tmp_path):
+    layout, folders, seen, stops = LAYOUTS[name], [], [], 0
     expected, once = run_in_memory(layout)
     for chunk in chunks_of(layout):
-        sink, stops = MemorySink(recorded_runs=1), 0
-        while not sink.state.is_done:
-            issued += run_for_a_segment(chunk, layout, sink)
+        while not (files := reopened(tmp_path / chunk.name)).state.is_done:
+            sink, end = FolderSink(files, Record(runs=1)), len(seen) + 5
+            limits = Limits(1e-9, float("inf"), lambda end=end: len(seen) >= end)
+            run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append))
             stops += 1
-        assert stops > 5
-        sinks.append(sink)
-    assert issued == sum(segment.issued_steps for segment in once)  # runs move at the same advances
-    for table, rows in expected.items():
-        parts = [part for sink in sinks for part in sink.tables[table]]
-        assert sort_rows(pa.concat_tables(parts)).equals(rows)
-    saved = {key: arrays for sink in sinks for key, arrays in sink.snapshots.items()}
-    assert sorted(saved) == [(0, 0, "walk"), (1, 0, "walk")]
-    assert all(np.isfinite(values).all() for arrays in saved.values() for values in arrays.values())
-
-
-@pytest.mark.bits
-@pytest.mark.parametrize("name", ["refilled and narrowed", "two queues"])
-def test_stopped_and_resumed_from_a_folder(name, tmp_path):
-    layout, folders = LAYOUTS[name], []
-    expected, _ = run_in_memory(layout)
-    for chunk in chunks_of(layout):
-        while True:
-            files = reopened(tmp_path / chunk.name)
-            if files.state.is_done:
-                break
-            run_for_a_segment(chunk, layout, FolderSink(files, Record(runs=1)), count=5)
         folders.append(files)
+    assert stops > 2
+    # Runs move at the same advances.
+    assert sum(each.issued_steps for each in seen) == sum(each.issued_steps for each in once)
     for table, rows in expected.items():
-        parts = [part for files in folders for part in files.tables(table)]
+        parts = [read_table(path) for files in folders for path in files.pieces(table)]
         assert sort_rows(pa.concat_tables(parts)).equals(rows)
     saved = sorted(name for files in folders for name in files.snapshots())
     assert saved == ["arrays/0-0-walk-end.npz", "arrays/1-0-walk-end.npz"]
@@ -259,7 +234,7 @@ def test_a_stop_during_the_wait_for_a_program_loses_nothing(tmp_path, missing):
     sink = FolderSink(files, Record(runs=0))
     run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, again.append))
     expected, once = run_in_memory(layout)
-    assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])
+    assert sort_rows(pa.concat_tables(map(read_table, files.pieces("runs")))).equals(expected["runs"])
     for count in ("active_steps", "finished", "issued_steps"):  # none is repeated, or made in more lanes
         total = sum(getattr(segment, count) for segment in once)
         assert sum(getattr(segment, count) for segment in [*begun, *again]) == total
