@@ -12,17 +12,12 @@ import pytest
 import bojax
 from bojax.api.command import Output
 from bojax.engine import signals
+from bojax.engine.devices import _FLAGS
 from bojax.results.folder import is_unfinished
 from bojax.results.store import read_manifest
 from tests.learning.probes import Bandit
 from tests.refusals import assert_refused, one_line
 
-FLAGS = (
-    "jax_enable_x64",
-    "jax_platforms",
-    "jax_compilation_cache_dir",
-    "jax_persistent_cache_min_compile_time_secs",
-)
 CHAIN = {"kind": "chain", "length": 4, "max_length": 4, "max_steps": 40}
 CONFIG = {"experiment": "learning", "env": CHAIN, "learner": "additive", "episodes": 3}
 
@@ -42,7 +37,7 @@ def here(here, monkeypatch):
 
 def state():
     """What a call might change in the caller's process."""
-    flags = {flag: getattr(jax.config, flag) for flag in FLAGS}
+    flags = {flag: getattr(jax.config, flag) for flag in _FLAGS}
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
     return flags, list(sys.path), environment, signal.getsignal(signal.SIGINT), sys.stderr
 

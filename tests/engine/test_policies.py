@@ -62,17 +62,8 @@ def test_the_policy_of_a_box_takes_plain_numbers_and_expects_its_learners_value(
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("policies") / "results"
-    words = [
-        "chain",
-        "episodes=20",
-        "stop=never",
-        "record.learners=true",
-        "--runs",
-        "2",
-        "--out",
-        str(folder),
-    ]
-    assert main(["run", *words]) == 0
+    words = "chain episodes=20 stop=never record.learners=true --runs 2".split()
+    assert main(["run", *words, "--out", str(folder)]) == 0
     return folder
 
 
