@@ -19,7 +19,6 @@ from bojax.results.store import (
     fingerprint,
     link,
     read_checked_json,
-    read_table,
     remove,
     sync,
     write_arrays,
@@ -207,10 +206,6 @@ class ChunkFolder:
             match = _PIECE.fullmatch(file)
             if match and match[1] == name:
                 yield self.committed(file)
-
-    def tables(self, name: str) -> Iterator[pa.Table]:
-        """The committed pieces of a table, in the order in which they were written."""
-        yield from map(read_table, self.pieces(name))
 
     def snapshots(self) -> list[str]:
         """Names of the committed snapshots."""

@@ -11,7 +11,7 @@ import pytest
 
 from bojax.results.attempts import AttemptRegistry, is_gone, process_identity
 from bojax.results.chunk_folder import ChunkFolder
-from bojax.results.store import ResultsError, write_json
+from bojax.results.store import ResultsError, read_table, write_json
 
 CHUNK, OTHER = "chunk-00000-0123456789ab", "chunk-00001-ba9876543210"
 
@@ -40,9 +40,8 @@ def commit(files: ChunkFolder, text: str, *, is_done: bool = False) -> None:
 
 def rows(work: Path) -> list[str]:
     files = registry(work).committed(CHUNK)
-    return (
-        [] if files is None else [row for table in files.tables("steps") for row in table["text"].to_pylist()]
-    )
+    paths = [] if files is None else files.pieces("steps")
+    return [row for path in paths for row in read_table(path)["text"].to_pylist()]
 
 
 def test_an_attempt_is_done_once_and_stays_done(work):

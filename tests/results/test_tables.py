@@ -128,14 +128,6 @@ def test_merge_depends_on_the_rows_alone(tmp_path):
     assert table["label"].to_pylist() == ["kcbts", "kcbts", "sbo", "sbo"]
 
 
-def test_uncommitted_pieces_are_ignored(tmp_path):
-    chunk = new_folder(tmp_path)
-    done(chunk, steps((0, 0, 1, 0.0)))
-    chunk.write_piece({"steps": steps((0, 0, 2, 0.0))})
-    again = ChunkFolder(chunk.path, tmp_path)
-    assert again.read() and [table.num_rows for table in again.tables("steps")] == [1]
-
-
 @pytest.mark.parametrize(
     ("values", "kind"),
     [
@@ -156,26 +148,20 @@ def test_swept_values_keep_their_type(tmp_path, values, kind):
     assert table["a.b"].type == kind and table["seed"].to_pylist() == [9, 9]
 
 
-def test_runs_whose_belief_left_out_samples_are_counted(tmp_path):
-    for number, columns in enumerate(({}, {"ignored_samples": np.array([0, 3, 1])})):
-        (tmp_path / str(number)).mkdir()
+def test_runs_without_a_sample_and_those_whose_belief_left_out_samples_are_counted(tmp_path):
+    counted = {"ignored_samples": np.array([0, 3, 1]), "sampled_gradient": np.array([0.0, 0.3, np.nan])}
+    for name, columns, expected in (("without", {}, (0, 0)), ("with", counted, (2, 1))):
         runs = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32), **columns}
-        done(attempt(tmp_path / str(number)), pa.table(runs), table="runs")
-        merged = merge(tmp_path / str(number), CHUNKS, ["runs"], POINTS, seed=0)
-        assert merged.num_ignoring == 2 * number
-
-
-def test_runs_without_a_sample_are_counted(tmp_path):
-    runs = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32)}
-    done(attempt(tmp_path), pa.table(runs | {"sampled_gradient": np.array([0.0, 0.3, 0.0])}), table="runs")
-    assert merge(tmp_path, CHUNKS, ["runs"], POINTS, seed=0).num_unsampled == 2
+        done(attempt(tmp_path / name), pa.table(runs), table="runs")
+        merged = merge(tmp_path / name, CHUNKS, ["runs"], POINTS, seed=0)
+        assert (merged.num_ignoring, merged.num_unsampled) == expected
 
 
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
     chunk = new_folder(tmp_path)
     chunk.write_piece({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
     chunk.commit()
-    assert [table["step"].to_pylist() for table in chunk.tables("steps")] == [[1]]
+    assert [read_table(path)["step"].to_pylist() for path in chunk.pieces("steps")] == [[1]]
 
 
 def test_snapshots_are_moved_once(tmp_path):
