@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import Array, Float
 
-from bojax.acquisition.settings import LogExpectedImprovement
 from bojax.config.component import Component, External, Slot
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
@@ -132,11 +131,6 @@ def test_points_of_a_sweep_share_their_structure():
 
 def test_arguments_that_are_no_fields_stay_python_values():
     assert build(OwnSettings()).values.shape == (4,)
-
-
-def test_built_in_parts():
-    assert float(build(RBF(lengthscale=0.5)).lengthscale) == 0.5
-    assert build(LogExpectedImprovement(), "float32").xi.dtype == jnp.float32
 
 
 def test_settings_left_to_the_constructor():

@@ -1,14 +1,13 @@
 """Programs come back from the cache untraced, with the same bits; what may change unseen is not cached."""
 
 import contextlib
-import errno
 import hashlib
 import os
 import pickle
+import resource
 import shutil
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 
@@ -180,23 +179,13 @@ def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
     assert not batch.compile_counts - before
 
 
-def test_a_full_disk_leaves_no_part_of_an_entry(cache, monkeypatch):
-    class Full:
-        def __init__(self, file):
-            self.name, self._file = file.name, file
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            self._file.close()
-
-        def write(self, content):
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    make = tempfile.NamedTemporaryFile
-    monkeypatch.setattr(tempfile, "NamedTemporaryFile", lambda **given: Full(make(**given)))
-    assert not program_cache.save("key", [], 0)
+def test_a_full_disk_leaves_no_part_of_an_entry(cache):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, limits[1]))  # bytes of a file, of which some are written
+    try:
+        assert not program_cache.save("key", [], 0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert not list(cache.iterdir())
 
 
