@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bojax.results.attempts import AttemptRegistry
@@ -200,11 +199,11 @@ def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Ta
         if bound is None:
             yield sort_rows(rows)
             return
-        is_complete = pa.array(_keys(rows) < bound)
-        held = [rows.filter(pc.call_function("invert", [is_complete]))]
+        is_complete = _keys(rows) < bound
+        held = [rows.filter(pa.array(~is_complete))]
         count = kept = held[0].num_rows
         lowest = bound
-        if (complete := rows.filter(is_complete)).num_rows:
+        if (complete := rows.filter(pa.array(is_complete))).num_rows:
             yield sort_rows(complete)
 
 

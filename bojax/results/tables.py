@@ -17,25 +17,10 @@ KEYS: Table = (
 )
 """The first columns of every table, which identify the run of a row."""
 
-_ARROW = {
-    "float64": pa.float64(),
-    "float32": pa.float32(),
-    "int32": pa.int32(),
-    "int64": pa.int64(),
-    "bool": pa.bool_(),
-    "string": pa.string(),
-}
-
-
-def arrow_schema(table: Table) -> pa.Schema:
-    """The Arrow schema of a table, with units and meanings as metadata of the fields."""
-    return pa.schema([_field(column) for column in table])
-
 
 def to_arrow(table: Table, columns: Mapping[str, np.ndarray]) -> pa.Table:
     """Columns as an Arrow table. In a nullable column, -1 and NaN become null; indices become words."""
-    schema = arrow_schema(table)
-    arrays = []
+    schema, arrays = pa.schema([_field(column) for column in table]), []
     for column, field in zip(table, schema, strict=True):
         values = np.asarray(columns[column.name])
         if column.words:
@@ -69,5 +54,6 @@ def count_nans(tables: Sequence[pa.Table]) -> dict[tuple[int, int], int]:
 
 
 def _field(column: Column) -> pa.Field:
+    """The Arrow field of a column, with its unit and meaning as metadata."""
     metadata = {key: value for key, value in (("unit", column.unit), ("doc", column.doc)) if value}
-    return pa.field(column.name, _ARROW[column.dtype], metadata=metadata or None)
+    return pa.field(column.name, pa.type_for_alias(column.dtype), metadata=metadata or None)
