@@ -49,23 +49,6 @@ def alone(module: Toy, run: int):
     return module.summary(carry)
 
 
-def test_lanes_are_what_single_runs_are():
-    program = compile_toys()
-    positions, runs = [0, 1, 1, 0, 1], [0, 0, 3, 17, 17]
-    summary, _, _ = run_all(program, place(program, positions, runs))
-    assert len(set(summary["return"][:5].tolist())) == 5
-    for lane, (position, run) in enumerate(zip(positions, runs, strict=True)):
-        expected = alone(MODULES[position], run)
-        for name, value in expected.items():
-            np.testing.assert_allclose(summary[name][lane], value, rtol=1e-12)
-
-
-def test_points_share_run_keys():
-    program = compile_toys()
-    summary, _, _ = run_all(program, place(program, [0, 1], [4, 4]))
-    assert summary["steps"][0] == summary["steps"][1]
-
-
 @pytest.mark.usefixtures("compiles_anew")
 def test_functions_are_traced_once_for_all_numbers_of_lanes(monkeypatch):
     expected, calls = alone(MODULES[1], 3)["return"], Counter()
@@ -97,15 +80,6 @@ def test_run_17_alone_is_run_17_of_200():
     for name, values in all_runs.items():
         assert values[17].tobytes() == one_run[name][0].tobytes()  # equal lanes: equal bits
         np.testing.assert_allclose(values[17], small[name][0], rtol=1e-12)
-
-
-@pytest.mark.bits
-def test_every_device_gives_the_same_bits():
-    first, second = compile_toys(4), compile_toys(4, device=1)
-    results = [run_all(program, place(program, [1] * 4, [0, 1, 2, 3])) for program in (first, second)]
-    assert results[1][2][0].devices() == {jax.devices("cpu")[1]}
-    for name, values in results[0][0].items():
-        assert values.tobytes() == results[1][0][name].tobytes()
 
 
 def moving(carry):
