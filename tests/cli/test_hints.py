@@ -35,8 +35,6 @@ run parking planner=kcbts,sbo
 => several values are an axis of a sweep file (axes: {KEY: [...]})
 run parking planner.iterations=50,100
 => got "50,100"; allowed: an integer; several values are an axis of a sweep file
-tune parking planner=kcbts,kcbts
-=> planner: got kcbts,kcbts; allowed: choices that differ, such as planner=kcbts,sbo
 reproduce fig-4.6 --gpu
 => unknown option --gpu; GPUs are used if JAX is installed for them
 run parking --planner.iterations=50

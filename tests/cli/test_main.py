@@ -54,16 +54,6 @@ sweep parking parking
 => bojax sweep: got parking twice; allowed: distinct sweeps
 run prking
 => prking: no such file, and no such name in configs/; allowed:
-sweep fig-4.7
-=> fig-4.7: no such file, and no such name in sweeps/; allowed:
-run parking problem.half_widht=3
-=> command line: problem.half_widht: unknown key
-sweep parking fig-4.7
-=> fig-4.7: no such file
-sweep parking planner=sbo
-=> command line: planner: got "sbo"; a swept key cannot
-run parking problem=nowhere:Field
-=> command line: problem.kind: got "nowhere:Field"; module nowhere is neither in the working directory
 report
 => the following arguments are required: DIR (see: bojax report --help)
 list kcbt
