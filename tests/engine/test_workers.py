@@ -218,22 +218,6 @@ def test_a_failed_chunk_does_not_stop_the_others_and_is_told(planned, alone, cap
     assert contents(planned) == alone
 
 
-def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
-    """Another launch has run its chunk and merged the sweep."""
-    from bojax.results.chunk_folder import ChunkFolder
-
-    def gone(self):
-        (planned / WORK).rename(planned / "gone")
-        return original(self)
-
-    original = ChunkFolder.commit
-    monkeypatch.setattr(ChunkFolder, "commit", gone)
-    monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: list(devices)[:1])
-    assert work_on(planned) == 0
-    assert capsys.readouterr().err.splitlines()[-1] == "the sweep has ended"
-    assert not (planned / WORK).exists()
-
-
 HERE = Here(lambda folders: work_on(*folders, cores=1))
 
 
