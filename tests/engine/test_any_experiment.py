@@ -8,7 +8,6 @@ import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import pytest
 import yaml
 
@@ -16,6 +15,7 @@ from bojax.cli.main import main
 from bojax.config.errors import ConfigError
 from bojax.config.extras import MissingExtra
 from bojax.config.sweep import load_config
+from bojax.results.store import read_table
 from tests.drawn import drawn_experiment
 from tests.parts import FILES
 from tests.tiers import by_tier
@@ -66,7 +66,8 @@ def test_a_drawn_experiment(usual_jax, here, capfd, seed):
 
 def faults(folder: Path) -> list[str]:
     """What is wrong with the tables of results."""
-    tables = {name: pq.read_table(folder / f"{name}.parquet") for name in KEYS if _has(folder, name)}
+    paths = {name: folder / f"{name}.parquet" for name in KEYS}
+    tables = {name: read_table(path) for name, path in paths.items() if path.exists()}
     found = [f"{name}: {fault}" for name, table in tables.items() for fault in _of_table(name, table)]
     runs = tables["runs"]
     nans = sum(_count(table, pc.is_nan) for name, table in tables.items())
@@ -83,10 +84,6 @@ def faults(folder: Path) -> list[str]:
     if not (folder / "report.html").exists():
         found.append("no report")
     return found
-
-
-def _has(folder: Path, name: str) -> bool:
-    return (folder / f"{name}.parquet").exists()
 
 
 def _count(table: pa.Table, test) -> int:
@@ -108,11 +105,8 @@ def _of_table(name: str, table: pa.Table) -> list[str]:
 
 def _rows(table: pa.Table, run: Mapping) -> dict[str, np.ndarray]:
     mask = pc.and_(pc.equal(table["point"], run["point"]), pc.equal(table["run"], run["run"]))
-    return {name: column.to_numpy() for name, column in _columns(table.filter(mask))}
-
-
-def _columns(table: pa.Table):
-    return zip(table.column_names, table.columns, strict=True)
+    found = table.filter(mask)
+    return {name: found[name].to_numpy() for name in found.column_names}
 
 
 def _of_planning(run: Mapping, steps: Mapping[str, np.ndarray]) -> list[str]:

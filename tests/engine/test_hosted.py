@@ -8,7 +8,6 @@ from pathlib import Path
 
 import jax
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from bojax.config.settings import EngineConfig, Record
@@ -20,7 +19,7 @@ from bojax.engine.hosted import Hosted
 from bojax.envs.settings import Gymnasium
 from bojax.experiments.settings import Learning
 from bojax.learning.settings import EpsilonGreedy
-from bojax.results.store import read_manifest
+from bojax.results.store import read_manifest, read_table
 from tests.engine.drive import ROOT, run_sweep
 from tests.tiers import by_tier
 
@@ -84,8 +83,8 @@ def sweep(runs: int = 6, **settings) -> Sweep:
     )
 
 
-def table(folder, name):
-    return pq.read_table(folder / f"{name}.parquet")
+def tables_in(folder) -> dict[str, bytes]:
+    return {name: (folder / f"{name}.parquet").read_bytes() for name in ("runs", "episodes", "steps")}
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +96,9 @@ def finished(tmp_path_factory):
 
 
 def test_runs_to_the_end_and_reports_every_episode(finished):
-    runs, episodes, steps = (table(finished, name) for name in ("runs", "episodes", "steps"))
+    runs, episodes, steps = (
+        read_table(finished / f"{name}.parquet") for name in ("runs", "episodes", "steps")
+    )
     assert runs.num_rows == 6
     phases = episodes["phase"].to_pylist()
     assert (phases.count("train"), phases.count("test")) == (30, 60)
@@ -117,13 +118,12 @@ def test_runs_to_the_end_and_reports_every_episode(finished):
 
 def test_a_sweep_repeats_and_success_by_info_is_success_by_the_terminal_state(finished, tmp_path):
     assert run_sweep(sweep(success="info"), tmp_path / "b", False, ["bojax"]) == 0
-    for name in ("runs", "episodes", "steps"):
-        assert table(finished, name).equals(table(tmp_path / "b", name))
+    assert tables_in(tmp_path / "b") == tables_in(finished)
 
 
 def test_a_number_that_is_none_ends_the_run_alone(tmp_path):
     assert run_sweep(sweep(kwargs={"breaks": "reward"}), tmp_path / "a", False, ["bojax"]) == 0
-    runs = table(tmp_path / "a", "runs")
+    runs = read_table(tmp_path / "a" / "runs.parquet")
     broken = np.isnan(np.asarray(runs["last_return"]))
     assert broken.any()
     np.testing.assert_array_equal(np.asarray(runs["nans"]) > 0, broken)
@@ -158,10 +158,7 @@ def test_a_sweep_goes_on_after_an_environment_crashed(finished, tmp_path):
     assert crashed.returncode == -signal.SIGSEGV
     assert not (tmp_path / "b" / "runs.parquet").exists()
     assert run_sweep(sweep(), tmp_path / "b", True, ["bojax"]) == 0
-    for name in ("runs", "episodes", "steps"):
-        assert (finished / f"{name}.parquet").read_bytes() == (
-            tmp_path / "b" / f"{name}.parquet"
-        ).read_bytes()
+    assert tables_in(tmp_path / "b") == tables_in(finished)
 
 
 @pytest.mark.bits
