@@ -173,16 +173,6 @@ def test_repacking_keeps_lanes_busy():
     assert busy(LAYOUTS["narrowed"]) > busy(PLAIN)
 
 
-@pytest.mark.bits
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_the_clock_changes_no_bit(name):
-    often = Limits(1e-9, float("inf"), bool)
-    (once, few), (again, many) = run_in_memory(LAYOUTS[name]), run_in_memory(LAYOUTS[name], often)
-    assert len(many) > len(few)
-    for table, expected in once.items():
-        assert again[table].equals(expected)
-
-
 def reopened(path) -> ChunkFolder:
     """The files of a chunk as the process before has left them."""
     files = ChunkFolder(path, path.parent)

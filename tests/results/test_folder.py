@@ -186,14 +186,6 @@ def test_a_lock_that_is_not_a_file_is_refused(tmp_path, make):
         folder.resume(PLAN)
 
 
-def test_leftovers_of_an_earlier_finish_are_deleted(tmp_path):
-    folder = RunFolder(tmp_path / "out")
-    folder.create(PLAN)
-    (folder.path / ".work-done" / "chunk").mkdir(parents=True)
-    folder.close(finished=True)
-    assert os.listdir(folder.path) == []
-
-
 def test_the_first_worker_commits_the_plan(tmp_path):
     folder = RunFolder(tmp_path / "out")
     folder.create(None)
