@@ -106,7 +106,7 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
             sink.state.segments.append([QUEUE, 100, 0.01])
         sink.finish()
         storage.close(chunk, sink)
-    run.close()
+    run.folder.close(finished=False)
     return {"plan_cpu_seconds": seconds}
 
 

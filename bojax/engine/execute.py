@@ -85,7 +85,7 @@ class _Executor:
             workers,
             is_requested=self._compiler.is_requested,
             is_ready=self._compiler.is_ready,
-            is_saved=_is_saved,
+            is_saved=lambda key: program_cache.is_saved(key.name),
         )
         new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
         self._processes = CompileProcesses(number_of_processes(len(new), workers))
@@ -270,11 +270,6 @@ class _Executor:
             self.error = problem
             return
         self._progress.failed(task.progress, sum(chunk.num_runs for chunk in chunks), message)
-
-
-def _is_saved(key: ProgramKey) -> bool:
-    """Whether programs are in the cache."""
-    return program_cache.is_saved(key.name)
 
 
 def _is_new(key: ProgramKey) -> bool:

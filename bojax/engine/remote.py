@@ -128,7 +128,7 @@ def run_remotely(targets: Sequence[Target], invocation: Invocation, launcher: La
     finally:
         for remote in remotes:
             if remote.run is not None:
-                remote.run.close()
+                remote.run.folder.close(finished=False)
 
 
 def _open(target: Target) -> Target:

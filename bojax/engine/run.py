@@ -78,7 +78,7 @@ def _run(
         return invocation.exit_code(runs) if runs else 0
     finally:
         for run in runs:
-            run.close()
+            run.folder.close(finished=False)
 
 
 def _common_device(sweeps: Sequence[Sweep]) -> Platform:

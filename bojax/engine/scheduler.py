@@ -143,8 +143,8 @@ class Scheduler:
     def _free(self, device: Device) -> list[GroupTask]:
         """The groups with a chunk that may run on a device, once its programs are ready."""
         tasks = of_platform(self._tasks, device.platform)
-        # Programs of an exclusive group hold one vector of environments, which two chunks cannot both step.
-        return [task for task in tasks if task.chunks and not (task.is_exclusive and task.running)]
+        # Programs of a hosted group hold one vector of environments, which two chunks cannot both step.
+        return [task for task in tasks if task.chunks and not (task.experiment.is_hosted and task.running)]
 
     def _is_complete(self, task: GroupTask) -> bool:
         """Whether the programs for all numbers of lanes of a group are compiled, each for some device."""

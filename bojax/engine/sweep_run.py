@@ -133,12 +133,8 @@ class SweepRun:
         self.merged, self._files = merged, merged.files
         self.note_seconds("merging", time.monotonic() - start)
         self.write_manifest("failed" if merged.errors else "finished")
-        self.close(finished=not merged.errors)
+        self.folder.close(finished=not merged.errors)
         return merged
-
-    def close(self, *, finished: bool = False) -> None:
-        """Release the folder; delete the working files of a finished sweep."""
-        self.folder.close(finished=finished)
 
     def write_manifest(self, status: str) -> None:
         """Write `manifest.json`."""

@@ -46,12 +46,7 @@ class GroupTask:
     @property
     def kind(self) -> type[Programs]:
         """The class of its programs."""
-        return Hosted if self.is_exclusive else Programs
-
-    @property
-    def is_exclusive(self) -> bool:
-        """Whether only one chunk can run at a time: its environments are on the host."""
-        return self.experiment.is_hosted
+        return Hosted if self.experiment.is_hosted else Programs
 
     def key(self, device: Device, width: int | None = None) -> "ProgramKey":
         """The programs for a number of lanes, by default the one with which a chunk starts."""

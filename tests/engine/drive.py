@@ -45,7 +45,7 @@ def plan_sweep(sweep, out: Path) -> None:
     run = SweepRun(make_plan(sweep, jax.devices()[:1]), target, COMMAND)
     run.open()
     run.launch()
-    run.close()
+    run.folder.close(finished=False)
 
 
 def work_on(*folders: Path, stop=bool, **options) -> int:

@@ -1,6 +1,7 @@
 """The scheduler, driven step by step: which chunk runs next, and what is compiled ahead."""
 
 from collections import deque
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,15 +23,11 @@ CPU, GPU, OTHER = Device("cpu"), Device("gpu"), Device("gpu", 1)
 class Task(GroupTask):
     """A group with as many chunks; only what the scheduler uses is there."""
 
-    def __init__(self, name: str, chunks: int, *widths: int, platform="gpu", is_exclusive=False, rank=0):
-        self.name, self.platform, self._is_exclusive = name, platform, is_exclusive
+    def __init__(self, name: str, chunks: int, *widths: int, platform="gpu", is_hosted=False, rank=0):
+        self.name, self.platform, self.experiment = name, platform, SimpleNamespace(is_hosted=is_hosted)
         self.layout, self.running, self.rank = Layout(8, widths, 1), 0, rank
         none = np.zeros(0, int)
         self.chunks = deque(Chunk(0, i, none, none, none, self.layout, name) for i in range(chunks))
-
-    @property
-    def is_exclusive(self):
-        return self._is_exclusive
 
 
 class Programs:
@@ -95,7 +92,7 @@ def test_groups_whose_programs_are_all_compiled_come_first():
 
 
 def test_one_chunk_of_a_hosted_group_runs_at_a_time():
-    a, b = tasks = [Task("a", 2, 4, platform="cpu", is_exclusive=True), Task("b", 1, 4, platform="cpu")]
+    a, b = tasks = [Task("a", 2, 4, platform="cpu", is_hosted=True), Task("b", 1, 4, platform="cpu")]
     plan, programs = make(tasks, CPU, CPU)
     programs.compile(a.key(CPU), b.key(CPU))
     assert taken(plan, CPU) == ("a", 0) and taken(plan, CPU) == ("b", 0) and plan.take(CPU) is None

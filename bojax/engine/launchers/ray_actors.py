@@ -73,7 +73,8 @@ class Ray(Launcher):
         ray = _ray()
         if ray.is_initialized():
             return
-        handler = signal.getsignal(signal.SIGTERM) if _is_main() else None
+        is_main = threading.current_thread() is threading.main_thread()
+        handler = signal.getsignal(signal.SIGTERM) if is_main else None
         # Without an address, Ray would look for the last cluster of this machine, which may have ended.
         where = self._config.address or os.environ.get("RAY_ADDRESS") or LOCAL
         advice = "start one with `ray start --head`, or leave out the address to use this machine"
@@ -267,7 +268,3 @@ def _answers(address: str | None) -> bool:
 def _ray() -> Any:
     with needed("ray", "ray"):
         return importlib.import_module("ray")
-
-
-def _is_main() -> bool:
-    return threading.current_thread() is threading.main_thread()
