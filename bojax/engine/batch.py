@@ -149,7 +149,9 @@ class Programs:
         loaded, self.is_saved, self.compile_seconds = obtain(
             key, device, partial(self._trace, wider), started, are_remade=choices is not None
         )
-        self.carry_structure = on_device(list(loaded.carry), device)
+        self.carry_structure = [
+            jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding) for leaf in loaded.carry
+        ]
         self._programs = dict(loaded.programs)
         if choices is not None:
             for name, program in loaded.programs.items():
@@ -275,23 +277,6 @@ class Programs:
         return self._run("select", carry, jax.device_put(lanes.astype(np.int32), self._sharding))
 
 
-def on_device(structure: PyTree[jax.ShapeDtypeStruct], device: Device) -> PyTree[jax.ShapeDtypeStruct]:
-    """The structure of arrays on a device."""
-    sharding = SingleDeviceSharding(device)
-    return jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), structure
-    )
-
-
-class Obtained(NamedTuple):
-    """The programs of a group, loaded or compiled."""
-
-    # The programs and their carry. A call with inputs of another shape or on another device raises
-    loaded: Loaded
-    is_saved: bool  # whether other devices and later sweeps can load them
-    seconds: float  # of loading, or of tracing and compiling
-
-
 def obtain(
     key: str | None,
     device: Device,
@@ -299,7 +284,7 @@ def obtain(
     started: Callable[[], None] = lambda: None,
     *,
     are_remade: bool = False,
-) -> Obtained:
+) -> tuple[Loaded, bool, float]:
     """Load the programs of a group, or trace, compile and save them.
 
     Args:
@@ -308,15 +293,19 @@ def obtain(
         trace: Makes the programs. Those that cannot be saved are traced when they are compiled.
         started: Called when tracing starts, after that of others, or when saved programs are loaded.
         are_remade: Whether another process may have to make the same programs, see `compile_again`.
+
+    Returns:
+        The programs, which take only inputs of exactly these shapes on this device; whether other devices and
+        later sweeps can load them; the seconds of loading, or of tracing and compiling.
     """
     start = time.perf_counter()
     if held := program_cache.held_programs(key, device):  # an earlier round of a search
         started()
-        return Obtained(held, True, time.perf_counter() - start)
+        return held, True, time.perf_counter() - start
     if (made := executables.load(key, device)) is not None:
         started()
         program_cache.hold(key, device, made)
-        return Obtained(made, True, time.perf_counter() - start)
+        return made, True, time.perf_counter() - start
     found, saved = program_cache.load(key), set[str]()
     if found is not None:
         started()
@@ -350,7 +339,7 @@ def obtain(
         are_saved = program_cache.save(key, list(programs), len(carry))
     if key is not None and are_saved and are_written:
         executables.save(key, device, loaded)
-    return Obtained(loaded, are_saved, time.perf_counter() - start)
+    return loaded, are_saved, time.perf_counter() - start
 
 
 def _exported(program: Program, device: Device) -> Program:

@@ -53,7 +53,7 @@ def _group(index: int, points: list[int], modules: list[Experiment]) -> StaticGr
     split = [eqx.partition(module, eqx.is_array) for module in modules]
     leaves = [jax.tree.leaves(arrays) for arrays, _ in split]
     columns = [[np.asarray(leaf) for leaf in column] for column in zip(*leaves, strict=True)]
-    differs = [any(not _equal(column[0], other) for other in column[1:]) for column in columns]
+    differs = [any(other.tobytes() != column[0].tobytes() for other in column[1:]) for column in columns]
     structure = jax.tree.structure(split[0][0])
     swept = [np.stack(column) if swept else None for column, swept in zip(columns, differs, strict=True)]
     shared = [None if swept else column[0] for column, swept in zip(columns, differs, strict=True)]
@@ -72,7 +72,3 @@ def _signature(module: Experiment) -> Any:
         (leaf.shape, str(leaf.dtype)) if eqx.is_array(leaf) else ("static", leaf) for leaf in leaves
     )
     return structure, kinds
-
-
-def _equal(a: np.ndarray, b: np.ndarray) -> bool:
-    return a.tobytes() == b.tobytes()

@@ -91,7 +91,9 @@ class Hosted(Programs):
         self._end_episode = self._program(lambda run, carry, episode: run.end_episode(carry, episode))
         self._end_test = self._program(lambda run, carry, number, test: run.end_test(carry, number, test))
         self._test_row = self._program(lambda run, carry, number, test: run.test_row(carry, number, test))
-        self._close = self._program(_close)
+        self._close = self._program(
+            lambda run, carry, *rest: checked_advance(run, carry, *run.close(carry, *rest))
+        )
 
     def _phase_programs(self, phase_of: Callable) -> PhasePrograms:
         def program(method: Callable) -> Callable:
@@ -167,7 +169,3 @@ def seed_of(key: Key[Array, ""]) -> Array:
 
 def _keys(phase, step):
     return jax.random.wrap_key_data(phase.step_keys(step[None])[0])
-
-
-def _close(run: LearningRun, carry, episode, learner, tests):
-    return checked_advance(run, carry, *run.close(carry, episode, learner, tests))
