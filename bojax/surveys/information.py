@@ -112,44 +112,6 @@ class PointErrors(eqx.Module):
         return jnp.sqrt(matmul(self.variance - jnp.sum(explained, axis=0), self.weights))
 
 
-def expected_error(
-    posterior: GaussianProcess,
-    waypoints: Float[Array, "W 2"],
-    grid: Float[Array, "M 2"],
-    spacing: float,
-    weights: Float[Array, "M"] | None = None,
-) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
-    """Mean posterior standard deviation over a grid against the distance driven along a route.
-
-    Args:
-        posterior: The belief before the route.
-        waypoints: The route, m.
-        grid: Points at which the error counts, m.
-        spacing: Distance between two samples, m.
-        weights: Weights of the grid points; all alike by default.
-
-    Returns:
-        Distances from the start, 0 first, and the mean deviation after the samples up to each.
-
-    Raises:
-        ValueError: The spacing is not positive, the route has fewer than two waypoints, or the grid is empty.
-    """
-    dtype = posterior.y.dtype
-    waypoints, grid = jnp.asarray(waypoints, dtype), jnp.asarray(grid, dtype)
-    if not spacing > 0.0:
-        raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
-    if waypoints.ndim != 2 or waypoints.shape[0] < 2:
-        raise ValueError(f"waypoints: got shape {waypoints.shape}; allowed: at least 2 rows of x and y")
-    if grid.shape[0] == 0:
-        raise ValueError("grid: got no points; allowed: at least one")
-    number = int(path_length(waypoints) / spacing * (1.0 + 1e-9))
-    errors, order = PointErrors.of(posterior, grid, weights), jnp.arange(number + 1, dtype=dtype)
-    if number == 0:
-        return order, errors.mean_deviation(errors.variance)[None]
-    deviations, _ = left_by(errors, *samples_along(waypoints, spacing, number))
-    return spacing * order, deviations
-
-
 @eqx.filter_jit
 def left_by(
     errors: PointErrors,

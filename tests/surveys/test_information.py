@@ -5,13 +5,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
-from bojax.surveys.information import PointErrors, expected_error, path_length, points_at, samples_along
+from bojax.surveys.information import PointErrors, left_by, path_length, points_at, samples_along
 
 VARIANCE, LENGTHSCALE, NOISE, SPACING = 0.8, 1.2, 0.01, 0.4
 ROUTE = np.array([[0.5, 0.5], [3.0, 0.5], [3.0, 2.1], [0.5, 3.5]])
@@ -57,20 +56,16 @@ def test_samples_lie_at_their_distances_along_the_route():
 
 
 def test_the_error_after_each_sample_is_the_one_of_scikit_learn():
-    distances, errors = expected_error(belief(DATA), jnp.asarray(ROUTE), jnp.asarray(GRID), SPACING)
-    samples = walked(ROUTE, np.asarray(distances[1:]))
-    expected = [deviation(samples[:number]).mean() for number in range(len(samples) + 1)]
-    assert len(distances) == 1 + int(float(path_length(jnp.asarray(ROUTE))) / SPACING)
-    np.testing.assert_allclose(errors, expected, rtol=1e-8)
-
-
-def test_weights_choose_where_the_error_counts():
+    route = jnp.asarray(ROUTE)
+    number = int(float(path_length(route)) / SPACING)
+    taken, samples = samples_along(route, SPACING, number), walked(ROUTE, SPACING * np.arange(1, number + 1))
+    deviations, variances = left_by(errors_of_grid(), *taken)
+    expected = [deviation(samples[:count]) for count in range(number + 1)]
+    np.testing.assert_allclose(deviations, [each.mean() for each in expected], rtol=1e-8)
+    np.testing.assert_allclose(variances, expected[-1] ** 2, rtol=1e-8)
     weights = np.where(GRID[:, 0] < 2.0, 3.0, 0.0)
-    _, errors = expected_error(
-        belief(DATA), jnp.asarray(ROUTE), jnp.asarray(GRID), SPACING, jnp.asarray(weights)
-    )
-    samples = walked(ROUTE, SPACING * np.arange(1, len(errors)))
-    np.testing.assert_allclose(errors[-1], deviation(samples)[GRID[:, 0] < 2.0].mean(), rtol=1e-8)
+    deviations, _ = left_by(PointErrors.of(belief(DATA), jnp.asarray(GRID), jnp.asarray(weights)), *taken)
+    np.testing.assert_allclose(deviations[-1], expected[-1][GRID[:, 0] < 2.0].mean(), rtol=1e-8)
 
 
 def test_samples_beyond_the_end_of_a_route_teach_nothing():
@@ -100,17 +95,3 @@ def test_a_batch_of_routes_is_a_loop_over_them():
     batch = jax.jit(jax.vmap(lambda route: left_after(errors, route, 14)))(routes)
     each = [left_after(errors, jnp.asarray(route), 14) for route in routes]
     np.testing.assert_allclose(batch, each, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"spacing": 0.0}, "spacing: got 0; allowed: > 0 m"),
-        ({"waypoints": jnp.zeros((1, 2))}, r"waypoints: got shape \(1, 2\); allowed: at least 2 rows"),
-        ({"grid": jnp.zeros((0, 2))}, "grid: got no points"),
-    ],
-)
-def test_bad_input_is_one_line(change, message):
-    given = {"waypoints": jnp.asarray(ROUTE), "grid": jnp.asarray(GRID), "spacing": SPACING} | change
-    with pytest.raises(ValueError, match=message):
-        expected_error(belief(DATA), **given)
