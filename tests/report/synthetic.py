@@ -384,9 +384,9 @@ def _long(steps: dict[str, np.ndarray], names: list[str]) -> dict[str, np.ndarra
     }
 
 
-def set_column(folder: Path, name: str, values, table: str = "runs") -> None:
-    """Replace a column of a table, or append it; one value is that of all rows."""
-    path = folder / f"{table}.parquet"
+def set_column(folder: Path, name: str, values) -> None:
+    """Replace a column of `runs.parquet`, or append it; one value is that of all rows."""
+    path = folder / "runs.parquet"
     rows = pq.read_table(path)
     column = pa.array(np.broadcast_to(values, rows.num_rows))
     is_new = name not in rows.column_names

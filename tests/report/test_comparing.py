@@ -51,13 +51,6 @@ class TestStatistics:
             low, high = np.quantile(resampled_iqms(random, strata), [0.025, 0.975])
             assert (found.low, found.high) == pytest.approx((low, high), abs=0.06 * (high - low))
 
-    def test_strata_keep_the_number_of_runs_of_each_task(self):
-        """Runs without spread within tasks: pooled resamples would vary, stratified ones do not."""
-        found = statistics.iqm_interval([np.zeros(10), np.full(10, 5.0)])
-        assert (found.estimate, found.low, found.high) == (2.5, 2.5, 2.5)
-        pooled = statistics.iqm_interval([np.repeat([0.0, 5.0], 10)])
-        assert pooled.low < 2.5 < pooled.high
-
     def test_the_probability_of_improvement_is_the_share_of_pairs(self):
         random = np.random.default_rng(5)
         first, second = random.integers(0, 6, 13), random.integers(0, 5, 9)
@@ -208,11 +201,6 @@ def curves_of(path, runs, measure):
 
 
 class TestMethods:
-    def test_a_score_is_the_mean_of_the_last_tenth(self):
-        values = np.arange(40.0).reshape(2, 20)
-        (each,) = methods_of({"a": values}, EPISODES)
-        assert each.scores == pytest.approx(values[:, -2:].mean(axis=1))
-
     def test_a_run_that_was_cut_off_scores_its_own_last_values_and_is_named(self):
         values = np.arange(40.0).reshape(2, 20)
         values[1, 10:] = np.nan
@@ -304,12 +292,6 @@ class TestMethods:
         (each,) = methods_of({"a": values}, STEPS, np.array([2, 3, 1, 4]))
         assert each.curve.x.tolist() == [1, 2, 3, 4, 5]
         np.testing.assert_array_equal(each.curve.values, [[np.nan, 1, 1, 1, 2], [3, 3, 3, 3, 4]])
-
-    def test_a_curve_by_step_ends_with_its_longest_run(self):
-        values = np.array([[1.0, 2.0], [3.0, 4.0]])
-        (each,) = methods_of({"a": values}, STEPS, np.array([2, 2, 10, 10]))
-        assert each.curve.x[-1] == 20 and each.curve.values[:, -1].tolist() == [2, 4]
-        assert each.cut_off == [0]
 
     def test_runs_are_paired_by_seed_and_index(self, tmp_path):
         folders = [
@@ -455,16 +437,6 @@ class TestPage:
         assert rows[0][4:] == ["", "", ""]  # the reference
         assert all(map(float, rows[1][4:6])) and rows[1][6] == "paired"
         assert text.count("<script>") == 1
-
-    def test_its_figures_are_files(self, out):
-        files = {path.name for path in (out / "figures").iterdir()}
-        assert files == {f"{name}.{suffix}" for name in ("curves", "scores") for suffix in ("png", "svg")}
-
-    def test_equal_input_gives_equal_files(self, out, tmp_path):
-        command = "bojax compare a --csv x.csv"
-        compare([out.parent / "a"], [out.parent / "x.csv"], tmp_path / "out", command=command)
-        for path in sorted(out.rglob("*.*")):
-            assert path.read_bytes() == (tmp_path / "out" / path.relative_to(out)).read_bytes()
 
     def test_it_states_the_rule_and_the_budgets_beside_the_scores(self, tmp_path):
         ends = {("a", 0): 5, ("a", 1): 5, ("b", 0): 20, ("b", 1): 2}

@@ -32,12 +32,6 @@ RISING = curve("a", [[0, 1, 2], [0, 3, 4]])
 EMPTY = curve("b", np.full((2, 3), np.nan))
 
 
-def test_a_curve_is_the_mean_of_its_runs():
-    (axes,) = chart(Panel("reward", "mean reward", [RISING])).axes
-    np.testing.assert_array_equal(np.asarray(axes.get_lines()[0].get_ydata()), [0, 2, 3])
-    np.testing.assert_array_equal(np.asarray(axes.get_lines()[0].get_xdata()), [1, 2, 3])
-
-
 def test_words_name_the_quantity_the_runs_the_bands_and_the_ends():
     drawn = drawing(Panel("reward", "mean reward", [RISING]))
     assert drawn.caption == (

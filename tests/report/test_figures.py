@@ -15,12 +15,6 @@ from bojax.report.figures import draw, ranked
 from tests.report.synthetic import in_memory
 
 
-@pytest.mark.parametrize("name", figure_modules())
-def test_every_file_is_a_figure(name):
-    module = importlib.import_module(figure_modules()[name])
-    assert callable(module.draw) and isinstance(module.RANK, int) and module.__doc__
-
-
 @pytest.mark.parametrize("episodes", [None, {"a": np.zeros((3, 2))}])
 @pytest.mark.parametrize("name", figure_modules())
 def test_results_that_lack_its_columns_do_not_allow_a_figure(name, episodes):

@@ -53,11 +53,6 @@ def test_a_decreasing_exponential_has_a_negative_rate():
     assert str(found).startswith("40.") and "exp(\N{MINUS SIGN}0." in str(found)
 
 
-def test_the_exponent_of_a_power_law_is_found():
-    means = np.stack([3 * X**1.5, X**2])
-    np.testing.assert_allclose(fit("linear", np.log(X), np.log(means), np.full(X.size, 0.05)).b, [1.5, 2.0])
-
-
 def test_errors_are_standard_errors_with_a_floor():
     values = np.array([[9.0, 10.0], [11.0, 10.0], [np.nan, 10.0]])
     first, second = errors_of(values)

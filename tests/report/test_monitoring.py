@@ -57,13 +57,6 @@ def test_all_that_makes_sense_is_drawn(folder):
     assert names == {"accumulated-reward", "returns", "errors", "paths", "beliefs"}
 
 
-@pytest.mark.slow
-def test_rebuilding_gives_the_same_bytes(folder):
-    first = {path: path.read_bytes() for path in sorted((folder / "figures").iterdir())}
-    build_report(folder)
-    assert {path: path.read_bytes() for path in first} == first
-
-
 class TestPaths:
     def test_what_stops_a_run_is_marked_and_no_failure_is_spoken_of(self, folder):
         drawn = drawing(load(folder), "paths")

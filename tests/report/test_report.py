@@ -5,14 +5,14 @@ import sys
 from html.parser import HTMLParser
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from bojax.report.build import build_report
+from bojax.report.figures import draw
+from bojax.report.source import load
 from bojax.report.verdicts import print_verdicts
 from bojax.results.store import ResultsError
-from tests.report.synthetic import BEHAVIOUR, edit_manifest, set_column, write_results
+from tests.report.synthetic import BEHAVIOUR, edit_manifest, in_memory, set_column, write_results
 
 DRAWN = ["accumulated-reward", "success", "returns", "paths"]
 
@@ -181,35 +181,15 @@ def test_trajectories_are_drawn_one_panel_a_point(tmp_path):
     paths = np.stack([np.cos(angle), np.sin(angle), angle], axis=-1)
     for point in range(3):
         np.savez(folder / "arrays" / f"{point}-0-trajectories-end.npz", paths=paths)
-    build_report(folder)
-    (alt,) = [
-        image["alt"]
-        for image in Page((folder / "report.html").read_text()).all("img")
-        if image["alt"].startswith("Trajectories")
-    ]
-    assert "kcbts, 5 paths; sbo−5, 5 paths; sbo−9, 5 paths" in alt or "kcbts, 5 paths; sbo-5, 5 paths" in alt
+    assert "kcbts, 5 paths; sbo-5, 5 paths; sbo-9, 5 paths" in draw("trajectories", load(folder)).alt
 
 
-def test_many_points_are_drawn_by_the_best_of_each_label(tmp_path):
-    folder = write_results(tmp_path / "results", runs=4, recorded=0)
-
-    def repeat(manifest):
-        points = manifest["points"]
-        manifest["points"] = [
-            {**points[index % 5], "index": index, "swept": {"planner.kappa": index}} for index in range(15)
-        ]
-
-    edit_manifest(folder, repeat)
-    for name in ("runs", "steps"):
-        table = pq.read_table(folder / f"{name}.parquet")
-        copies = [
-            table.set_column(0, "point", pa.array(table["point"].to_numpy() + 5 * copy)) for copy in range(3)
-        ]
-        pq.write_table(pa.concat_tables(copies), folder / f"{name}.parquet")
-    build_report(folder)
-    text = Page((folder / "report.html").read_text()).text
-    assert "Of 15 points, the one with the best mean return of each label is drawn." in text
-    assert "kcbts, kappa 5" in text
+def test_many_points_are_drawn_by_the_best_of_each_label():
+    swept = {f"{label} {kappa}": {"label": label, "kappa": kappa} for label in "abc" for kappa in range(5)}
+    runs = {name: {"return": np.full(3, float(each["kappa"] == 2))} for name, each in swept.items()}
+    drawing = draw("returns", in_memory(runs, swept=swept))
+    assert "Of 15 points, the one with the best mean return of each label is drawn." in drawing.caption
+    assert drawing.alt.endswith("Means: a 2 1.00, b 2 1.00, c 2 1.00.")
 
 
 def test_unreadable_folders_end_in_one_line_and_nothing_is_written(tmp_path):

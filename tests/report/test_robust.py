@@ -15,7 +15,6 @@ from bojax.report.drawing.base import Drawing
 from bojax.report.figures import draw
 from bojax.report.source import load
 from bojax.results.outline import Outline
-from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, set_column, write_results
 
 ONE = {"figures": ["returns"]}
@@ -189,13 +188,6 @@ def test_an_outline_is_drawn_and_the_legend_lists_what_is_drawn(tmp_path):
     edit_manifest(folder, lambda m: [point.pop("outline") for point in m["points"]])
     labels, patches = drawn_labels(folder)
     assert labels == ["success", "failure", "start"] and not patches
-
-
-def test_an_outline_of_other_shapes_is_refused(tmp_path):
-    folder = write_results(tmp_path / "results", runs=2, recorded=0)
-    edit_manifest(folder, lambda m: m["points"][0].update(outline={"goals": [[1.0]]}))
-    with pytest.raises(ResultsError, match="goals: got .* allowed: 3 or 4 finite"):
-        load(folder)
 
 
 def test_outlines_are_plain_numbers():
