@@ -5,10 +5,7 @@ import re
 import subprocess
 import sys
 
-import pytest
-
 from bojax.claims.reproduction import reproduction
-from bojax.cli.main import main
 from bojax.config.sweep_file import published_report
 from bojax.report.build import build_report
 from bojax.results.store import ResultsError
@@ -152,9 +149,6 @@ def test_variants_and_checks_are_shown_apart_and_not_counted(tmp_path):
     told = part(its_text, "statement a")
     assert "- why: a slip of the thesis. It is so." in told and "- holds in: 25.0% of 320" in told
     assert its_text.count("It is so.") == of_chapter.text.count("It is so.") == 1
-    for each in of_chapter.all("a"):
-        if (place := each.get("href", "")).startswith("#"):
-            assert f'id="{place[1:]}"' in (tmp_path / "reproduction" / "chapter3.html").read_text(), place
 
 
 def test_each_link_of_the_pages_leads_to_a_place(tmp_path):
@@ -305,15 +299,6 @@ def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
     assert "0 claims, tested by 0 sweeps" in page.text and "0 claims" in text
 
 
-def test_equal_input_gives_equal_files(tmp_path):
-    folders = [write(tmp_path / name, [claim(name, "Fig. 3.1")]) for name in ("a", "b")]
-    reproduction(tmp_path, folders, 1.0)
-    files = [tmp_path / "reproduction.html", tmp_path / "reproduction.md"]
-    first = [path.read_bytes() for path in files]
-    reproduction(tmp_path, folders, 1.0)
-    assert first == [path.read_bytes() for path in files]
-
-
 WHY = {"claims": ["c", "b"], "cause": "choice", "text": "Because of *it*, by -3.\n", "sweeps": ["study-ties"]}
 OTHER = {"claims": ["a"], "cause": "slip", "text": "Not shown."}
 
@@ -407,26 +392,6 @@ def test_the_page_shows_what_the_report_shows(tmp_path):
             low, high = entry["interval"]
             assert f"{entry['ours']:.1%} [{low:.1%}, {high:.1%}]" in page.text
     assert "no runs of cbts" in page.text  # why a claim has no verdict
-
-
-@pytest.mark.slow
-def test_a_real_sweep(here):
-    (here / "mine.yaml").write_text("""
-title: Chain
-base: chain
-axes: {learner: {exploration-values: {}, epsilon-greedy: {kind: epsilon-greedy}}}
-runs: 2
-claims:
-  - id: fig-5.6b/faster
-    source: Fig. 5.6b, p. 131-132 of the PDF
-    claim: exploration values find the goal sooner
-    test: {kind: order, column: steps, less: [exploration-values, epsilon-greedy]}
-""")
-    assert main(["sweep", "mine.yaml", "episodes=2", "--out", "mine"]) == 0
-    page, text = pages(here / "all", [here / "mine"])
-    verdict = cells(text, "exploration values find the goal sooner")[2]
-    assert verdict.startswith("inconclusive: ") and "at least 20 are needed" in verdict
-    assert "../mine/report.html" in page.loaded and "kind cpu" in page.text
 
 
 def test_the_page_is_made_without_jax_and_without_matplotlib(tmp_path):
