@@ -15,9 +15,8 @@ from PIL import Image
 
 from bojax.cli.main import main
 from bojax.config.component import registry
-from bojax.envs import settings as envs
 from bojax.films.choose import choose_film
-from bojax.films.film import MAX_FRAMES, blank, render
+from bojax.films.film import MAX_FRAMES, render
 from bojax.films.learning import frames_of
 from bojax.films.recorded import choose_episode
 from bojax.films.scenes import SCENES
@@ -260,12 +259,6 @@ def test_a_still_is_a_moment_of_the_film(folder, tmp_path, capsys, refusal, shar
         same = [np.array_equal(np.asarray(image), np.asarray(film.still(share))) for share in at]
     assert same.index(True) == round(float(share) * 29)
     assert "--at" in refusal(f"render {folder} --still {path} --at 2")
-
-
-def test_all_environments_with_a_scene_have_the_settings_that_it_needs():
-    for kind, drawn in SCENES.items():
-        drawn(blank(3.0, 3.0).add_subplot(), registry["env"][kind]()).close()
-    assert envs.SinglePendulum.model_fields["kind"].default in SCENES
 
 
 def test_it_needs_no_jax(folder):

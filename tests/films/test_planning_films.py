@@ -1,8 +1,6 @@
 """Films of planners and of robots: what is drawn is what was recorded, on a screen or on none."""
 
 import json
-import subprocess
-import sys
 from contextlib import closing
 
 import jax.numpy as jnp
@@ -218,15 +216,6 @@ def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, ref
     (tmp_path / "puck.xml").write_text(PUCK)
     error = refusal(f"render {folder} --model {tmp_path}/puck.xml")
     assert "the model differs from the one that was simulated: the model has 7 generalised" in error
-
-
-def test_robots_are_drawn_without_jax(tmp_path, rendering):
-    folder = standing(tmp_path / "results")
-    code = (
-        "import sys; from bojax.cli.main import main; "
-        f"assert main(['render', {str(folder)!r}]) == 0; assert 'jax' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
 def test_a_robot_of_ones_own_needs_its_model(tmp_path, rendering, refusal):
