@@ -10,7 +10,7 @@ pyproj = pytest.importorskip("pyproj")
 
 from bojax.areas.place import read_place  # noqa: E402
 from bojax.fields.raster import DEGREES  # noqa: E402
-from tests.fields.test_raster_files import ASCII, write_tif  # noqa: E402
+from tests.fields.test_raster_files import ASCII, write_tif, written  # noqa: E402
 
 OUTER = [[10.0, 54.0], [10.02, 54.0], [10.02, 54.01], [10.0, 54.01], [10.0, 54.0]]
 HOLE = [[10.008, 54.004], [10.012, 54.004], [10.012, 54.006], [10.008, 54.006], [10.008, 54.004]]
@@ -30,11 +30,6 @@ def kml(*borders) -> str:
 
 def geojson(*rings, **more) -> str:
     return json.dumps({"type": "Polygon", "coordinates": rings, **more})
-
-
-def written(tmp_path, name, text) -> str:
-    (tmp_path / name).write_text(text)
-    return str(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["a.geojson", "a.kml"])
@@ -174,12 +169,5 @@ def test_a_raster_without_positions_is_named_and_a_band_is_chosen(tmp_path):
     np.savez(tmp_path / "a.npz", z=np.ones((4, 6)), extent=[0, 0, 600, 400])
     (note,) = read_place(str(tmp_path / "a.npz")).notes
     assert note.endswith("cells are taken to be 1 m wide.")
-    rasterio = pytest.importorskip("rasterio")
-    transform = rasterio.transform.from_origin(500_000.0, 5_000_020.0, 10.0, 10.0)
-    settings = {"height": 4, "width": 6, "count": 2, "dtype": "float32", "crs": "EPSG:32633"}
-    path = str(tmp_path / "a.tif")
-    with rasterio.open(path, "w", driver="GTiff", transform=transform, **settings) as file:
-        for band in (1, 2):
-            file.write(np.where(np.arange(6) < 3 * band, np.ones((4, 6)), np.nan).astype("float32"), band)
-    low, high = (read_place(f"{path}::{band}").size for band in (1, 2))
-    assert high == pytest.approx(2.0 * low, rel=0.05)
+    tif = write_tif(tmp_path / "a.tif", np.ones((4, 6)), count=2)
+    assert read_place(f"{tif}::2").size == pytest.approx(2400.0, rel=0.05)

@@ -11,6 +11,7 @@ pytest.importorskip("shapely")
 from bojax.areas.place import read_place  # noqa: E402
 from bojax.surveys import model  # noqa: E402
 from bojax.surveys.model import assumed_model, learned_model  # noqa: E402
+from tests.fields.test_raster_files import written  # noqa: E402
 from tests.refusals import one_line  # noqa: E402
 
 
@@ -33,25 +34,20 @@ def test_hyper_parameters_of_a_sampled_field_are_recovered(tmp_path, monkeypatch
     assert given.lengthscale == 80.0
 
 
-def written(path, text):
-    path.write_text(text)
-    return str(path)
-
-
-def notes_of(monkeypatch, file, area="200x100", lengthscale=None):
+def notes_of(monkeypatch, file, lengthscale=None):
     monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
     with jax.enable_x64(True):
-        return learned_model(file, read_place(area), lengthscale).notes
+        return learned_model(file, read_place("200x100"), lengthscale).notes
 
 
 def test_what_is_doubtful_in_an_earlier_survey_is_noted(tmp_path, monkeypatch):
     rows = [f"{6 * i},{3 * (i % 7)},{i % 5},{i % 3}" for i in range(30)]
     lacking = ["1,2,NaN,1", "1,2,-9999,1", ",2,3,1"]
-    file = written(tmp_path / "old.csv", "\n".join(["x,y,sand,mud", *rows, *lacking]))
+    file = written(tmp_path, "old.csv", "\n".join(["x,y,sand,mud", *rows, *lacking]))
     (note,) = notes_of(monkeypatch, f"{file}:sand")
     assert note == f"{file}:sand: 3 of 33 rows have no data and are left out."
     rows = [f"{9.14 + i / 1e4},{54.12 + i % 7 / 1e4},{i % 5}" for i in range(30)]
-    (note,) = notes_of(monkeypatch, written(tmp_path / "old.csv", "\n".join(["x,y,z", *rows])))
+    (note,) = notes_of(monkeypatch, written(tmp_path, "old.csv", "\n".join(["x,y,z", *rows])))
     assert "all values lie within 0.0029 m, and the area is 200 m wide; check the unit" in note
     np.save(tmp_path / "old.npy", np.arange(100.0).reshape(10, 10) % 7)
     (note,) = notes_of(monkeypatch, str(tmp_path / "old.npy"))
@@ -66,11 +62,11 @@ def test_repeated_and_far_rows_of_an_earlier_survey_are_counted(tmp_path, monkey
         (["1e7,5,1", "5,-1e5,2"], "2 of 32 values lie more than 10 widths of the area away from it; check"),
         (["1900,5,1"], None),
     ):
-        file = written(tmp_path / "old.csv", "\n".join(["x,y,z", *rows, *more]))
+        file = written(tmp_path, "old.csv", "\n".join(["x,y,z", *rows, *more]))
         notes = notes_of(monkeypatch, file)
         assert len(notes) == (counted is not None)
         assert counted is None or notes[0].startswith(f"{file}: {counted}")
-    file = written(tmp_path / "old.csv", "\n".join(["x,y,z", *rows, "1e7,5,1"]))
+    file = written(tmp_path, "old.csv", "\n".join(["x,y,z", *rows, "1e7,5,1"]))
     for lengthscale, end in ((None, ", from which the lengthscale is learned."), (50.0, ".")):
         (note,) = notes_of(monkeypatch, file, lengthscale=lengthscale)
         assert note.endswith(f"check their positions{end}")
@@ -80,9 +76,9 @@ def test_metres_are_refused_for_an_area_in_degrees(tmp_path):
     corners = [[9.0, 54.0], [9.01, 54.0], [9.01, 54.01], [9.0, 54.0]]
     area = json.dumps({"type": "Polygon", "coordinates": [corners]})
     rows = [f"{700_000 + i},{4_050_000 + i % 7},{i % 5}" for i in range(30)]
-    file = written(tmp_path / "old.csv", "\n".join(["easting,northing,z", *rows]))
+    file = written(tmp_path, "old.csv", "\n".join(["easting,northing,z", *rows]))
     with one_line(ValueError, "old.csv: column easting: got 700029; allowed: longitudes from -360 to 360"):
-        learned_model(file, read_place(written(tmp_path / "a.geojson", area)), None)
+        learned_model(file, read_place(written(tmp_path, "a.geojson", area)), None)
 
 
 def test_without_data_the_lengthscale_is_a_tenth_of_the_root_of_the_area():

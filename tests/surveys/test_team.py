@@ -9,13 +9,12 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from bojax.areas.area import Area  # noqa: E402
-from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
-from bojax.models.kernels import Matern52, Scaled  # noqa: E402
 from bojax.surveys.information import PointErrors, left_by, samples_along, samples_of_all  # noqa: E402
 from bojax.surveys.lawnmower import Ground  # noqa: E402
 from bojax.surveys.polylines import length_of  # noqa: E402
 from bojax.surveys.route import RouteOptions, plan_routes, stays_inside  # noqa: E402
 from bojax.surveys.team import least_distance, parts_of, split_points, team_lawnmowers  # noqa: E402
+from tests.surveys.test_route import belief  # noqa: E402
 
 HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
 POND = Area.rectangle(0.0, 0.0, 6.0, 6.0).without([(HOLE,)])
@@ -71,11 +70,11 @@ def test_samples_of_a_team_are_those_of_its_robots():
 
 
 def test_two_robots_learn_more_than_one_and_stay_apart():
-    kernel = Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0))
-    belief = GaussianProcess.prior(kernel, 0.01, 0, 2)
     starts = [[0.5, 0.5], [5.5, 0.5]]
-    found = plan_routes(belief, POND, 10.0, starts, [None, None], spacing=0.3, separation=0.5, options=QUICK)
-    alone = plan_routes(belief, POND, 10.0, starts[:1], [None], spacing=0.3, options=QUICK)
+    found = plan_routes(
+        belief(), POND, 10.0, starts, [None, None], spacing=0.3, separation=0.5, options=QUICK
+    )
+    alone = plan_routes(belief(), POND, 10.0, starts[:1], [None], spacing=0.3, options=QUICK)
     assert found.error < 0.9 * alone.error
     assert least_distance(found.routes, 0.5) >= 0.5
     for route, start in zip(found.routes, starts, strict=True):
@@ -83,14 +82,12 @@ def test_two_robots_learn_more_than_one_and_stay_apart():
         assert length_of(route) <= 10.0 * (1.0 + 1e-9) and stays_inside(route, POND)
     # The error of both routes is not that of the first one alone.
     grid, samples = jnp.asarray(POND.grid(0.4)), jax.jit(lambda route: samples_along(route, 0.3, 33))
-    before = jax.jit(lambda: PointErrors.of(belief, grid))()
+    before = jax.jit(lambda: PointErrors.of(belief(), grid))()
     single = [left_by(before, *samples(jnp.asarray(each)))[0][-1] for each in found.routes]
     assert min(single) > 1.2 * found.error
 
 
 def test_a_separation_that_no_candidate_keeps_is_one_line():
-    kernel = Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0))
-    belief = GaussianProcess.prior(kernel, 0.01, 0, 2)
     with pytest.raises(ValueError, match="separation: got 9 m, which no candidate keeps; allowed: a smaller"):
-        plan_routes(belief, POND, 30.0, [[0.5, 0.5], [5.5, 0.5]], [None] * 2, spacing=0.3, separation=9.0,
+        plan_routes(belief(), POND, 30.0, [[0.5, 0.5], [5.5, 0.5]], [None] * 2, spacing=0.3, separation=9.0,
                     options=QUICK)  # fmt: skip

@@ -12,8 +12,6 @@ shapely = pytest.importorskip("shapely")
 
 from bojax.areas.area import Area  # noqa: E402
 from bojax.areas.shapes import to_shape  # noqa: E402
-from bojax.models.gaussian_process import GaussianProcess  # noqa: E402
-from bojax.models.kernels import Matern52, Scaled  # noqa: E402
 from bojax.surveys.descent import Limits  # noqa: E402
 from bojax.surveys.lawnmower import DIRECTIONS, Ground, TurnsTooTight, lawnmower, lawnmowers_within  # noqa: E402
 from bojax.surveys.lawnmower import _order_apart as order_apart  # noqa: E402
@@ -22,6 +20,7 @@ from bojax.surveys.polylines import length_of, points_along  # noqa: E402
 from bojax.surveys.route import RouteOptions, plan_route  # noqa: E402
 from bojax.surveys.turns import drivable, least_radius, turned  # noqa: E402
 from tests.surveys.test_lawnmower import AREAS, SQUARE, apart, is_inside  # noqa: E402
+from tests.surveys.test_route import belief  # noqa: E402
 
 
 def can_be_driven(route: np.ndarray, radius: float) -> bool:
@@ -84,18 +83,6 @@ def test_turns_on_the_spot_in_any_direction_have_no_radius():
         drivable(np.zeros((3, 2)), -1.0)
 
 
-def test_routes_on_a_grid_with_turns_on_the_spot_become_drivable():
-    rng, found = np.random.default_rng(0), 0
-    for _ in range(300):
-        given = np.round(rng.uniform(0.0, 100.0, (8, 2)), -1)
-        route = drivable(given, 2.0)
-        if route is not None:
-            found += 1
-            assert least_radius(route) >= 2.0 * (1.0 - 1e-6)
-            assert length_of(route) <= length_of(given) * (1.0 + 1e-9)
-    assert found > 100
-
-
 @pytest.mark.parametrize("least", [1, 2, 3, 7])
 def test_lines_in_a_row_are_apart(least):
     for number in range(1, 60):
@@ -152,21 +139,20 @@ def test_an_area_without_room_for_the_turns_is_one_line():
 
 
 def test_an_optimised_route_turns_as_widely_as_it_must():
-    belief = GaussianProcess.prior(Scaled(Matern52(jnp.asarray(1.0)), jnp.asarray(1.0)), 0.01, 0, 2)
     area = AREAS["hole"]
     options = RouteOptions(waypoints=32, restarts=4, steps=60, models=2, turning_radius=0.5)
     ends = [1.0, 1.0], [9.0, 9.0]
-    route = plan_route(belief, area, 40.0, *ends, spacing=0.3, options=options)
+    route = plan_route(belief(), area, 40.0, *ends, spacing=0.3, options=options)
     assert can_be_driven(route.waypoints, 0.5)
     assert shapely.covers(to_shape(area).buffer(1e-6), shapely.LineString(route.waypoints))
     assert 36.0 < route.length <= 40.0 + 1e-6
     np.testing.assert_allclose(route.waypoints[[0, -1]], ends)
     assert not can_be_driven(
-        plan_route(belief, area, 40.0, *ends, spacing=0.3,
+        plan_route(belief(), area, 40.0, *ends, spacing=0.3,
                    options=dataclasses.replace(options, turning_radius=0.0)).waypoints, 0.5
     )  # fmt: skip
     with pytest.raises(ValueError, match=r"with turns of 9 m stays in the area; allowed: a smaller turning"):
-        plan_route(belief, area, 40.0, *ends, spacing=0.3,
+        plan_route(belief(), area, 40.0, *ends, spacing=0.3,
                    options=dataclasses.replace(options, turning_radius=9.0))  # fmt: skip
 
 
