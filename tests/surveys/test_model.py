@@ -12,6 +12,7 @@ from bojax.areas.place import read_place  # noqa: E402
 from bojax.surveys import model  # noqa: E402
 from bojax.surveys.model import assumed_model, learned_model  # noqa: E402
 from tests.fields.test_raster_files import written  # noqa: E402
+from tests.reference.gaussian_process import Stationary, matern52  # noqa: E402
 from tests.refusals import one_line  # noqa: E402
 
 
@@ -19,8 +20,7 @@ def test_hyper_parameters_of_a_sampled_field_are_recovered(tmp_path, monkeypatch
     lengthscale, std, noise = 60.0, 2.0, 0.2
     random = np.random.default_rng(3)
     points = random.uniform(0.0, 1000.0, (250, 2))
-    scaled = np.sqrt(5.0) * np.linalg.norm(points[:, None] - points, axis=2) / lengthscale
-    covariance = std**2 * (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
+    covariance = std**2 * Stationary(matern52, None, lengthscale)(points, points)
     values = np.linalg.cholesky(covariance + noise**2 * np.eye(250)) @ random.normal(size=250)
     file = str(tmp_path / "pilot.csv")
     np.savetxt(file, np.column_stack([points, 50.0 + values]), delimiter=";", header="x;y;depth", comments="")

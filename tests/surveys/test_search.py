@@ -13,6 +13,7 @@ from bojax.surveys.goals import Goal
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import stays_inside
 from bojax.surveys.search import NUM_SAMPLES, THINNING, Search, StraightLines
+from tests.reference.gaussian_process import GP, LinearMean, Stationary, matern52
 
 SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)
 PEAK = np.array([8.0, 3.0])
@@ -24,11 +25,6 @@ NOISE = 0.01
 def float64():
     with jax.enable_x64(True):
         yield
-
-
-def covariance(first, second):
-    scaled = np.sqrt(5.0) * cdist(first, second) / 1.5
-    return (1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled)
 
 
 def belief(points, values):
@@ -61,16 +57,12 @@ def test_the_loss_of_a_route_is_that_of_a_plain_gaussian_process():
     samples = points_along(route.waypoints, 12.0 / NUM_SAMPLES * np.arange(1, NUM_SAMPLES + 1))
     samples = points[cdist(samples, points).argmin(axis=1)]
     counted = points[::THINNING]
-    inverse = np.linalg.inv(covariance(SEEN, SEEN) + NOISE * np.eye(len(SEEN)))
-    mean = covariance(counted, SEEN) @ inverse @ VALUES
-
-    def left(x, noise):
-        across = covariance(counted, x)
-        return 1.0 - np.sum(across @ np.linalg.inv(covariance(x, x) + np.diag(noise)) * across, axis=1)
-
-    before = left(SEEN, np.full(len(SEEN), NOISE))
+    kernel = Stationary(matern52, None, 1.5)
+    mean, before = GP(kernel, LinearMean(), NOISE, SEEN, VALUES).predict(counted)
     noise = np.append(np.full(len(SEEN), NOISE), np.full(NUM_SAMPLES, NOISE * 0.2 / (12.0 / NUM_SAMPLES)))
-    after = left(np.concatenate([SEEN, samples]), noise)
+    x = np.concatenate([SEEN, samples])
+    _, after = GP(kernel, LinearMean(), noise, x, np.zeros(len(x))).predict(counted)
+    before, after = np.diag(before), np.diag(after)
     assert route.error == pytest.approx(goal.loss(mean, before, before - after), rel=1e-6)
     assert route.error == min(route.candidates.values())
 

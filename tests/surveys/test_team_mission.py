@@ -39,9 +39,9 @@ def drive(survey, way, distance, robot):
 
 @pytest.mark.parametrize("goal", ["map", "hotspots"])
 def test_robots_keep_apart_and_in_their_budgets_until_they_are_used(goal):
-    survey = team(goal=goal, end=CORNERS)
+    survey = team(goal=goal, end=CORNERS, budget=8.0)
     driven, steps = np.zeros(2), (3.0, 2.0)  # the second robot is slower than it was planned to be
-    for _ in range(6):
+    for _ in range(4):
         together = ways(survey)
         assert keep_separation(together, SEPARATION)
         for index, (robot, way) in enumerate(zip(survey.robots, together, strict=True)):
@@ -50,7 +50,7 @@ def test_robots_keep_apart_and_in_their_budgets_until_they_are_used(goal):
             assert stays_inside(way, SQUARE)
             driven[index] += drive(survey, way, steps[index], index)
         survey.relearn()
-    assert np.all(driven <= 12.0 * (1.0 + 1e-9))
+    assert np.all(driven <= 8.0 * (1.0 + 1e-9))
     for robot, corner in zip(survey.robots, CORNERS, strict=True):
         np.testing.assert_allclose(robot.position, corner, atol=SEPARATION)
         assert robot.remaining == pytest.approx(0.0, abs=SEPARATION)
