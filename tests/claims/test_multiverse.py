@@ -291,6 +291,8 @@ def run(paper: Path, out: Path, *words: str) -> int:
 
 @pytest.mark.skipif(not IS_CPU, reason="compares blocks of different widths")
 def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_path, capsys):
+    epsilon = "of: [greedy], setting: learner.epsilon, values: [0.1, 0.5]"  # one program for all values
+    paper.write_text(FILE.replace("values: {long: {}, short: {env.max_steps: 3}}", epsilon))
     assert run(paper, tmp_path / "whole") == 0
     assert run(paper, tmp_path / "pieces", "--configurations", "1") == 0
     begun = json.loads((tmp_path / "pieces" / outcomes.FILE).read_text())
@@ -298,7 +300,6 @@ def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_pa
     carried = tmp_path / "elsewhere" / outcomes.FILE  # another machine gets nothing but this file
     carried.parent.mkdir()
     carried.write_bytes((tmp_path / "pieces" / outcomes.FILE).read_bytes())
-    assert run(paper, tmp_path / "elsewhere", "--resume", "--configurations", "2") == 0
     assert run(paper, tmp_path / "elsewhere", "--resume") == 0
     whole, other = ((tmp_path / name / outcomes.FILE).read_bytes() for name in ("whole", "elsewhere"))
     assert whole == other
@@ -307,10 +308,7 @@ def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_pa
     outcomes.write(tmp_path / "elsewhere", made.model_copy(update={"confirmed": None}))
     assert run(paper, tmp_path / "elsewhere", "--resume", "--configurations", "0") == 0  # runs nothing
     assert outcomes.read(tmp_path / "elsewhere").confirmed is None
-    finds = next(each for each in made.claims if each.id == "own/finds")
-    assert (
-        finds.verdicts[0] == "r" and "n" in finds.verdicts
-    )  # a goal three steps away cannot always be reached
+    assert next(each for each in made.claims if each.id == "own/finds").verdicts[0] == "r"
     printed = capsys.readouterr().err
     assert "configurations are left" in printed
     assert "in 4 configurations of 2 choices: " in printed and " robust" in printed

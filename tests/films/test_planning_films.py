@@ -9,7 +9,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
 
 from bojax.cli.main import main
 from bojax.films.choose import choose_film
@@ -21,6 +20,7 @@ from bojax.problems.settings import Parking, TwoPits
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
+from tests.films.test_learning_films import frames as images_in
 from tests.films.test_learning_films import learning_results
 from tests.report.synthetic import edit_manifest, write_results
 
@@ -108,11 +108,7 @@ def test_the_film_of_a_planner_moves_at_every_picture(tmp_path, problem, belief)
     film = choose_film(load(folder))
     gif = render(film, folder / "animations")[0]
     assert gif.name == "kcbts-run3.gif" and gif.stat().st_size < 300_000
-    with Image.open(gif) as image:
-        pictures = []
-        for index in range(image.n_frames):
-            image.seek(index)
-            pictures.append(np.asarray(image.convert("RGB")))
+    pictures = [image for image, _ in images_in(gif)]
     per_step = MAX_IMAGES_PER_STEP
     halted = range(per_step + per_step * 3 // 5, 2 * per_step)  # it was stopped in its second step
     for index, (before, after) in enumerate(zip(pictures, pictures[1:], strict=False)):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import yaml
 
 import bojax
 from bojax.experiments.settings import Learning, Planning
@@ -26,44 +27,23 @@ BEHAVIOUR = {
     "random": {"label": "random", "parks": 0, "exits": 15, "at": 6},
 }
 
-_SHARE = {"kind": "share", "column": "success"}
-_ORDER = {"kind": "order", "column": "return", "by": "label"}
-_TREND = {"kind": "trend", "label": "kcbts", "column": "accumulated_reward", "from": 6, "to": 15}
-
-CLAIMS = [
-    dict(zip(("id", "source", "claim", "thesis", "test"), claim, strict=True))
-    for claim in (
-        (
-            *("order-holds", "Fig. 4.6, p. 99-100"),
-            *("final accumulated reward: kCBTS > SBO > GPS-ABT > random", "kcbts > sbo > gps-abt > random"),
-            {**_ORDER, "greater": ["kcbts", "sbo", "gps-abt", "random"]},
-        ),
-        (
-            *("order-fails", "p. 100", "random is above kCBTS", "random > kcbts"),
-            {**_ORDER, "greater": ["random", "kcbts"]},
-        ),
-        (
-            *("share-holds", "p. 100", "kCBTS parks in most episodes by step 6", "most"),
-            {**_SHARE, "label": "kcbts", "within": 6, "above": 0.5},
-        ),
-        (
-            *("share-fails", "p. 100", "SBO parks in most episodes by step 6", "most"),
-            {**_SHARE, "label": "sbo", "within": 6, "above": 0.5},
-        ),
-        (
-            *("share-open", "p. 100", "SBO <parks> in fewer than 45% of runs & more", 0.45),
-            {**_SHARE, "label": "sbo", "below": 0.45},
-        ),
-        (
-            *("trend-holds", "p. 100", "the curve of kCBTS falls after step 6", "steady decrease"),
-            {**_TREND, "direction": "falls"},
-        ),
-        (
-            *("missing", "p. 90", "CBTS is above random", "cbts > random"),
-            {**_ORDER, "greater": ["cbts", "random"]},
-        ),
-    )
-]
+CLAIMS = yaml.safe_load("""
+- {id: order-holds, source: "Fig. 4.6, p. 99-100", thesis: kcbts > sbo > gps-abt > random,
+   claim: "final accumulated reward: kCBTS > SBO > GPS-ABT > random",
+   test: {kind: order, column: return, by: label, greater: [kcbts, sbo, gps-abt, random]}}
+- {id: order-fails, source: p. 100, claim: random is above kCBTS, thesis: random > kcbts,
+   test: {kind: order, column: return, by: label, greater: [random, kcbts]}}
+- {id: share-holds, source: p. 100, claim: kCBTS parks in most episodes by step 6, thesis: most,
+   test: {kind: share, column: success, label: kcbts, within: 6, above: 0.5}}
+- {id: share-fails, source: p. 100, claim: SBO parks in most episodes by step 6, thesis: most,
+   test: {kind: share, column: success, label: sbo, within: 6, above: 0.5}}
+- {id: share-open, source: p. 100, claim: "SBO <parks> in fewer than 45% of runs & more", thesis: 0.45,
+   test: {kind: share, column: success, label: sbo, below: 0.45}}
+- {id: trend-holds, source: p. 100, claim: the curve of kCBTS falls after step 6, thesis: steady decrease,
+   test: {kind: trend, label: kcbts, column: accumulated_reward, from: 6, to: 15, direction: falls}}
+- {id: missing, source: p. 90, claim: CBTS is above random, thesis: cbts > random,
+   test: {kind: order, column: return, by: label, greater: [cbts, random]}}
+""")
 
 
 def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: dict | None = None) -> Path:

@@ -1,8 +1,6 @@
 """A figure is one file, found by its name."""
 
 import importlib
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -48,13 +46,3 @@ def test_an_unknown_figure_is_refused_before_the_run(tmp_path):
     message = str(error.value)
     assert 'mine.yaml: report.figures: got "steps_to_goal"; allowed: accumulated-reward, ' in message
     assert message.endswith('did you mean "steps-to-goal"?') and "\n" not in message
-
-
-def test_a_figure_is_imported_only_when_it_is_drawn():
-    code = (
-        "import sys; import bojax.report.build; from bojax.config.sweep import load_sweep; "
-        "load_sweep('sweeps/fig-4.6.yaml'); "
-        "print([name for name in sys.modules if name.startswith('bojax.report.figures.')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

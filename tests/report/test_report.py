@@ -207,14 +207,16 @@ def test_unreadable_folders_end_in_one_line_and_nothing_is_written(tmp_path):
         assert not (folder / "report.html").exists() and not (folder / "claims.json").exists()
 
 
-def test_reports_are_made_without_jax_and_without_pyplot(folder):
+def test_reports_are_made_without_jax_and_without_pyplot_and_import_a_figure_when_it_is_drawn(folder):
     code = (
         "import sys, pathlib; from bojax.report.build import build_report; "
+        "from bojax.config.sweep import load_sweep; load_sweep('fig-4.6'); "
+        "early = [name for name in sys.modules if name.startswith('bojax.report.figures.')]; "
         f"build_report(pathlib.Path({str(folder)!r})); "
-        "print([name for name in ('jax', 'equinox', 'matplotlib.pyplot') if name in sys.modules])"
+        "print(early, [name for name in ('jax', 'equinox', 'matplotlib.pyplot') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == "[] []"
 
 
 def test_the_figure_and_the_table_come_before_the_claims_and_the_contents_lead_to_all(folder):

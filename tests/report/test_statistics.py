@@ -116,16 +116,6 @@ def test_bootstrap_is_the_same_every_time_whatever_the_block(monkeypatch):
     np.testing.assert_allclose(statistics.bootstrap_means(values, resamples=300), whole, rtol=1e-12)
 
 
-def test_many_rows_are_resampled_in_groups_with_the_same_distribution(monkeypatch):
-    values = np.random.default_rng(0).lognormal(0.0, 1.2, size=12_345)
-    grouped = statistics.bootstrap_means(values, resamples=4000)
-    monkeypatch.setattr(statistics, "GROUPS", values.size)
-    single = statistics.bootstrap_means(values, resamples=4000)
-    assert grouped.mean() == pytest.approx(values.mean(), rel=1e-3)
-    assert grouped.std() == pytest.approx(single.std(), rel=0.08)
-    assert scipy.stats.skew(grouped) == pytest.approx(scipy.stats.skew(single), abs=0.15)
-
-
 def test_sorted_rows_are_dealt_into_groups_as_different_as_unsorted_ones():
     values = np.random.default_rng(0).exponential(size=20_000)
     width = np.ptp(statistics.central(statistics.bootstrap_means(np.sort(values), resamples=2000)))
