@@ -87,7 +87,8 @@ def _time_many(starts: list[np.ndarray], number: int) -> None:
     options, length, whole, errors = route.RouteOptions(restarts=number), max(LENGTHS), [], []
     for start in starts:
         begin = time.perf_counter()
-        plan = route.plan_route(MODEL.belief(), SQUARE, length, start, spacing=SPACING, options=options)
+        given = {"spacing": SPACING, "options": options}
+        (plan,) = route.plan_routes(MODEL.belief(), SQUARE, length, [start], [None], **given)
         whole.append(time.perf_counter() - begin)
         errors.append(plan.error)
     table = Table(

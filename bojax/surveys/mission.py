@@ -293,7 +293,7 @@ class Mission:
                 separation=self.separation,
                 others=returning,
                 options=self._options,
-            ).each
+            )
         except ValueError:
             # From where a robot is now, it may not turn widely enough: it goes on with its plan.
             rests = [rest_of(route.waypoints, leg.entry) for leg in legs if (route := leg.robot.route)]

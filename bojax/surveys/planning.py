@@ -134,7 +134,7 @@ class Survey:
 def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool = True) -> Survey:
     """The candidate after which the model expects the least error, with all others.
 
-    Candidates are lawnmowers in all directions and, with a budget, the route that `plan_route` finds from
+    Candidates are lawnmowers in all directions and, with a budget, the route that `plan_routes` finds from
     the best of them.
 
     Args:
@@ -260,7 +260,9 @@ def _optimised(
         separation=demand.separation,
         options=options,
     )
-    return None if any(found.chosen == guess.name for guess in guesses) else (found.chosen, found.routes)
+    if (chosen := found[0].chosen) in {guess.name for guess in guesses}:
+        return None
+    return chosen, [route.waypoints for route in found]
 
 
 def ground_within(ground: Ground, region: Area) -> Ground:

@@ -55,7 +55,7 @@ class RouteOptions:
 
 @dataclass(frozen=True)
 class Route:
-    """A planned route.
+    """A planned route of a robot; what is said of its error holds for those of all robots together.
 
     Attributes:
         waypoints: Waypoints, start and end included, m.
@@ -73,75 +73,6 @@ class Route:
     candidates: dict[str, float]
 
 
-@dataclass(frozen=True)
-class Routes:
-    """Routes that were planned together, one for each robot.
-
-    Attributes:
-        routes: Waypoints of each, start and end included, m; each is at most as long as the budget.
-        error: As of a `Route`, after the measurements of all robots.
-        chosen: As of a `Route`.
-        candidates: As of a `Route`.
-    """
-
-    routes: tuple[Waypoints, ...]
-    error: float
-    chosen: str
-    candidates: dict[str, float]
-
-    @property
-    def each(self) -> list[Route]:
-        """The route of each robot, with what is common to all."""
-        common = self.error, self.chosen, self.candidates
-        return [Route(route, length_of(route), *common) for route in self.routes]
-
-
-def plan_route(
-    posterior: GaussianProcess,
-    area: Area,
-    budget: float,
-    start: Any = None,
-    end: Any = None,
-    first_guesses: Mapping[str, Any] | None = None,
-    key: Key[Array, ""] | None = None,
-    *,
-    spacing: float,
-    weight: Any = None,
-    target: Area | None = None,
-    options: RouteOptions | None = None,
-) -> Route:
-    """The route of least expected error over an area, with a length of at most the budget.
-
-    The first guesses, parallel lines in several directions and tours are descended. The best of the results
-    and of the first guesses themselves is chosen, so that no route is proposed that is expected to be worse
-    than a given one.
-
-    Args:
-        posterior: Belief about the field, of positions in metres.
-        area: Area to survey.
-        budget: Maximum length, m.
-        start: Fixed start, m; free by default.
-        end: Fixed end, m; free by default.
-        first_guesses: Waypoints of routes by name, such as a lawnmower's. They are brought to the fixed ends,
-            and cut at the budget if the end is free.
-        key: Random key of the tours.
-        spacing: Distance between two measurements, m.
-        weight: Function of points `[M, 2]` that gives their weights in the error; all alike by default.
-        target: Part of the area where the error counts; the whole area by default.
-        options: Options of the optimiser.
-
-    Raises:
-        ValueError: A number is out of range, an end or the target lies outside the area, the budget
-            does not reach from start to end, or no candidate stays in the area within the budget.
-    """
-    given = {name: [guess] for name, guess in (first_guesses or {}).items()}
-    found = plan_routes(
-        posterior, area, budget, [start], [end], given, key,
-        spacing=spacing, weight=weight, target=target, options=options,
-    )  # fmt: skip
-    return found.each[0]
-
-
 def plan_routes(
     posterior: GaussianProcess,
     area: Area,
@@ -157,27 +88,34 @@ def plan_routes(
     separation: float = 0.0,
     others: Sequence[Waypoints] = (),
     options: RouteOptions | None = None,
-) -> Routes:
-    """The routes of several robots that leave the least expected error together, as `plan_route`.
+) -> list[Route]:
+    """The routes of one or several robots that leave the least expected error over an area together.
+
+    The first guesses, parallel lines in several directions and tours are descended. The best of the results
+    and of the first guesses themselves is chosen, so that no route is proposed that is expected to be worse
+    than a given one.
 
     Args:
-        posterior: As of `plan_route`.
-        area: As of `plan_route`.
+        posterior: Belief about the field, of positions in metres.
+        area: Area to survey.
         budget: Maximum length of all routes, or of each robot's, m.
         starts: Fixed start of each robot, m; None for a free one.
         ends: Fixed end of each robot, m; None for a free one.
-        first_guesses: Routes of all robots by name.
-        key: As of `plan_route`.
-        spacing: As of `plan_route`.
-        weight: As of `plan_route`.
-        target: As of `plan_route`.
+        first_guesses: Waypoints of the routes of all robots by name, such as lawnmowers. They are brought to
+            the fixed ends, and cut at the budget if the end is free.
+        key: Random key of the tours.
+        spacing: Distance between two measurements, m.
+        weight: Function of points `[M, 2]` that gives their weights in the error; all alike by default.
+        target: Part of the area where the error counts; the whole area by default.
         separation: Least distance of two robots that have driven equally far, m, as of `least_distance`:
             robots may share a mooring.
         others: Routes of robots that are on their way already, from which the separation is kept.
-        options: As of `plan_route`.
+        options: Options of the optimiser.
 
     Raises:
-        ValueError: As `plan_route`, or no candidate keeps the separation.
+        ValueError: A number is out of range, an end or the target lies outside the area, the budget
+            does not reach from start to end, or no candidate stays in the area within the budget or keeps
+            the separation.
     """
     options = RouteOptions() if options is None else options
     dtype = posterior.y.dtype
@@ -343,7 +281,9 @@ def _stops(points: Waypoints, budget: float) -> int:
     return int(np.clip((budget / 0.7) ** 2 / size, 3, 40))
 
 
-def _best(candidates: dict[str, list[Waypoints]], final: Models, budget, spacing, least, dtype) -> Routes:
+def _best(
+    candidates: dict[str, list[Waypoints]], final: Models, budget, spacing, least, dtype
+) -> list[Route]:
     """The candidate of least error."""
     # Routes of at most `least` waypoints share a program; longer ones are rounded up, so that few differ.
     stacked = []
@@ -359,7 +299,7 @@ def _best(candidates: dict[str, list[Waypoints]], final: Models, budget, spacing
     names = list(candidates)
     chosen = names[order[0]]
     scores = {names[index]: errors[index] for index in order}
-    return Routes(tuple(candidates[chosen]), scores[chosen], chosen, scores)
+    return [Route(each, length_of(each), scores[chosen], chosen, scores) for each in candidates[chosen]]
 
 
 @eqx.filter_jit

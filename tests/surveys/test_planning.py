@@ -10,7 +10,7 @@ from bojax.areas.area import Area  # noqa: E402
 from bojax.surveys import planning  # noqa: E402
 from bojax.surveys.model import assumed_model  # noqa: E402
 from bojax.surveys.planning import Demand, plan_survey  # noqa: E402
-from bojax.surveys.route import Routes  # noqa: E402
+from bojax.surveys.route import Route  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def test_longer_lengthscales_count_where_lines_would_be_far_apart(monkeypatch, b
     def plan_nothing(*arguments, options, **others):
         seen.append(options.stretch)
         (name, routes), *_ = arguments[5].items()
-        return Routes(tuple(routes), 0.0, name, {})
+        return [Route(route, 0.0, 0.0, name, {}) for route in routes]
 
     monkeypatch.setattr(planning, "plan_routes", plan_nothing)
     with jax.enable_x64(True):

@@ -12,7 +12,7 @@ from bojax.surveys.descent import Ends, within_budget
 from bojax.surveys.guesses import parallel_lines
 from bojax.surveys.information import PointErrors, left_by, samples_along
 from bojax.surveys.polylines import length_of, with_waypoints
-from bojax.surveys.route import RouteOptions, plan_route, stays_inside
+from bojax.surveys.route import RouteOptions, plan_routes, stays_inside
 from tests.compiling import COMPILATION, events_of_jax
 
 QUICK = RouteOptions(waypoints=16, restarts=5, steps=40, models=2)
@@ -20,6 +20,14 @@ SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
 HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
 WITH_HOLE = SQUARE.without([(HOLE,)])
 LAWNMOWER = np.array([[0.5, 0.5], [0.5, 5.5], [3.0, 5.5], [3.0, 0.5], [5.5, 0.5]])  # 15 m
+
+
+def planned(area, budget, start=None, end=None, first_guesses=None, **given):
+    """The route of one robot, whose first guesses are single routes."""
+    guesses = {name: [guess] for name, guess in (first_guesses or {}).items()}
+    given = {"spacing": 0.3, "options": QUICK} | given
+    (route,) = plan_routes(belief(), area, budget, [start], [end], guesses, **given)
+    return route
 
 
 def belief():
@@ -55,8 +63,7 @@ def test_parallel_lines_keep_the_budget_and_use_it():
 
 
 def test_an_optimised_route_expects_a_smaller_error_than_the_lawnmower():
-    route = plan_route(belief(), SQUARE, 15.0, LAWNMOWER[0], None, {"lawnmower": LAWNMOWER}, spacing=0.3,
-                       options=QUICK)  # fmt: skip
+    route = planned(SQUARE, 15.0, LAWNMOWER[0], first_guesses={"lawnmower": LAWNMOWER})
     before = jax.jit(lambda: PointErrors.of(belief(), jnp.asarray(SQUARE.grid(0.3))))()
     samples = jax.jit(lambda way: samples_along(way, 0.3, 50))
     ways = [jnp.asarray(with_waypoints(way, 16)) for way in (route.waypoints, LAWNMOWER)]
@@ -71,13 +78,13 @@ def test_a_better_first_guess_is_chosen_as_it_is():
     no_steps = RouteOptions(waypoints=16, restarts=1, steps=1, models=2)
     bad = np.array([[0.5, 0.5], [0.6, 0.6]])
     guesses = {"bad": bad, "lawnmower": LAWNMOWER}
-    route = plan_route(belief(), SQUARE, 15.0, None, None, guesses, spacing=0.3, options=no_steps)
+    route = planned(SQUARE, 15.0, first_guesses=guesses, options=no_steps)
     assert route.chosen in ("lawnmower", "optimised from lawnmower")
     assert length_of(route.waypoints) == pytest.approx(15.0)
 
 
 def test_a_route_goes_round_a_hole_and_reaches_its_end():
-    route = plan_route(belief(), WITH_HOLE, 16.0, [0.5, 3.0], [5.5, 3.0], spacing=0.3, options=QUICK)
+    route = planned(WITH_HOLE, 16.0, [0.5, 3.0], [5.5, 3.0])
     np.testing.assert_allclose(route.waypoints[[0, -1]], [[0.5, 3.0], [5.5, 3.0]])
     assert stays_inside(route.waypoints, WITH_HOLE)
     assert not stays_inside(np.array([[0.5, 3.0], [5.5, 3.0]]), WITH_HOLE)
@@ -85,9 +92,9 @@ def test_a_route_goes_round_a_hole_and_reaches_its_end():
 
 
 def test_another_budget_compiles_nothing():
-    plan_route(belief(), SQUARE, 15.0, [1.0, 1.0], spacing=0.3, options=QUICK)
+    planned(SQUARE, 15.0, [1.0, 1.0])
     with events_of_jax() as events:
-        plan_route(belief(), SQUARE, 11.0, [3.0, 2.0], spacing=0.3, options=QUICK, key=jax.random.key(1))
+        planned(SQUARE, 11.0, [3.0, 2.0], key=jax.random.key(1))
     assert COMPILATION not in events
 
 
@@ -104,6 +111,5 @@ def test_another_budget_compiles_nothing():
     ],
 )
 def test_bad_input_is_one_line(change, message):
-    given = {"budget": 10.0, "spacing": 0.3, "options": QUICK} | change
     with pytest.raises(ValueError, match=message):
-        plan_route(belief(), WITH_HOLE, **given)
+        planned(WITH_HOLE, **{"budget": 10.0} | change)

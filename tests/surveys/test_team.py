@@ -71,20 +71,20 @@ def test_samples_of_a_team_are_those_of_its_robots():
 
 def test_two_robots_learn_more_than_one_and_stay_apart():
     starts = [[0.5, 0.5], [5.5, 0.5]]
-    found = plan_routes(
-        belief(), POND, 10.0, starts, [None, None], spacing=0.3, separation=0.5, options=QUICK
-    )
-    alone = plan_routes(belief(), POND, 10.0, starts[:1], [None], spacing=0.3, options=QUICK)
-    assert found.error < 0.9 * alone.error
-    assert least_distance(found.routes, 0.5) >= 0.5
-    for route, start in zip(found.routes, starts, strict=True):
+    given = {"spacing": 0.3, "options": QUICK}
+    found = plan_routes(belief(), POND, 10.0, starts, [None, None], separation=0.5, **given)
+    (alone,) = plan_routes(belief(), POND, 10.0, starts[:1], [None], **given)
+    assert found[0].error == found[1].error < 0.9 * alone.error
+    routes = [each.waypoints for each in found]
+    assert least_distance(routes, 0.5) >= 0.5
+    for route, start in zip(routes, starts, strict=True):
         np.testing.assert_allclose(route[0], start)
         assert length_of(route) <= 10.0 * (1.0 + 1e-9) and stays_inside(route, POND)
     # The error of both routes is not that of the first one alone.
     grid, samples = jnp.asarray(POND.grid(0.4)), jax.jit(lambda route: samples_along(route, 0.3, 33))
     before = jax.jit(lambda: PointErrors.of(belief(), grid))()
-    single = [left_by(before, *samples(jnp.asarray(each)))[0][-1] for each in found.routes]
-    assert min(single) > 1.2 * found.error
+    single = [left_by(before, *samples(jnp.asarray(each)))[0][-1] for each in routes]
+    assert min(single) > 1.2 * found[0].error
 
 
 def test_a_separation_that_no_candidate_keeps_is_one_line():

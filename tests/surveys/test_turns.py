@@ -17,10 +17,10 @@ from bojax.surveys.lawnmower import DIRECTIONS, Ground, TurnsTooTight, lawnmower
 from bojax.surveys.lawnmower import _order_apart as order_apart  # noqa: E402
 from bojax.surveys.mission import Mission  # noqa: E402
 from bojax.surveys.polylines import length_of, points_along, rest_of  # noqa: E402
-from bojax.surveys.route import RouteOptions, plan_route  # noqa: E402
+from bojax.surveys.route import RouteOptions  # noqa: E402
 from bojax.surveys.turns import drivable, least_radius, turned  # noqa: E402
 from tests.surveys.test_lawnmower import AREAS, SQUARE, apart, is_inside  # noqa: E402
-from tests.surveys.test_route import belief  # noqa: E402
+from tests.surveys.test_route import planned  # noqa: E402
 
 
 def can_be_driven(route: np.ndarray, radius: float) -> bool:
@@ -142,18 +142,15 @@ def test_an_optimised_route_turns_as_widely_as_it_must():
     area = AREAS["hole"]
     options = RouteOptions(waypoints=32, restarts=2, steps=40, models=2, turning_radius=0.5)
     ends = [1.0, 1.0], [9.0, 9.0]
-    route = plan_route(belief(), area, 40.0, *ends, spacing=0.3, options=options)
+    route = planned(area, 40.0, *ends, options=options)
     assert can_be_driven(route.waypoints, 0.5)
     assert shapely.covers(to_shape(area).buffer(1e-6), shapely.LineString(route.waypoints))
     assert 36.0 < route.length <= 40.0 + 1e-6
     np.testing.assert_allclose(route.waypoints[[0, -1]], ends)
-    assert not can_be_driven(
-        plan_route(belief(), area, 40.0, *ends, spacing=0.3,
-                   options=dataclasses.replace(options, turning_radius=0.0)).waypoints, 0.5
-    )  # fmt: skip
+    usual, wide = (dataclasses.replace(options, turning_radius=radius) for radius in (0.0, 9.0))
+    assert not can_be_driven(planned(area, 40.0, *ends, options=usual).waypoints, 0.5)
     with pytest.raises(ValueError, match=r"with turns of 9 m stays in the area; allowed: a smaller turning"):
-        plan_route(belief(), area, 40.0, *ends, spacing=0.3,
-                   options=dataclasses.replace(options, turning_radius=9.0))  # fmt: skip
+        planned(area, 40.0, *ends, options=wide)
 
 
 def test_the_plans_of_a_mission_turn_as_widely_as_they_must(monkeypatch):
