@@ -11,7 +11,7 @@ import pytest
 from bojax.areas.area import Area
 from bojax.surveys.mission import Mission
 from bojax.surveys.polylines import length_of, points_along, rest_of
-from bojax.surveys.route import RouteOptions, fitted, stays_inside
+from bojax.surveys.route import RouteOptions, stays_inside
 from tests.compiling import COMPILATION, IS_CPU, events_of_jax
 
 QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
@@ -27,25 +27,20 @@ def field(points):
     return 100.0 + 20.0 * np.sin(points[:, 0]) * np.cos(0.7 * points[:, 1])
 
 
-def drive(survey, waypoints, distance):
-    """Follow waypoints for a distance, measuring on the way."""
-    way = fitted(np.concatenate([survey.position[None], waypoints]), distance, None, None)
-    ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
-    at = np.arange(survey.spacing, ends[-1] + 1e-9, survey.spacing)
-    points = np.stack([np.interp(at, ends, way[:, axis]) for axis in (0, 1)], axis=-1)
-    survey.observe(points, field(points), way[-1])
+def drive(survey, waypoints, distance, robot=None):
+    """Follow waypoints for a distance, measuring on the way, and return the length that the mission sees."""
+    way = np.concatenate([survey.robots[robot or 0].position[None], waypoints])
+    at = np.arange(survey.spacing, min(distance, length_of(way)) + 1e-9, survey.spacing)
+    points, end = points_along(way, at), points_along(way, np.array([distance]))
+    survey.observe(points, field(points), end[0], robot=robot)
+    return length_of(np.concatenate([way[:1], points, end]))
 
 
 def test_the_whole_budget_is_driven_and_the_field_is_learned():
     survey = mission(end=[5.0, 5.0], relearn_every=10)
     error_before = np.std(field(SQUARE.grid(0.5)))
-    driven = 0.0
-    for _ in range(6):
-        waypoints = survey.plan()
-        before = survey.position.copy()
-        drive(survey, waypoints, 3.0)
-        driven += float(np.linalg.norm(survey.position - before))
-    assert driven <= 12.0
+    driven = sum(drive(survey, survey.plan(), 3.0) for _ in range(6))
+    assert driven <= 12.0 * (1.0 + 1e-9)
     np.testing.assert_allclose(survey.position, [5.0, 5.0], atol=0.35)
     mean, deviation = survey.predict(SQUARE.grid(0.5))
     assert np.sqrt(np.mean((mean - field(SQUARE.grid(0.5))) ** 2)) < 0.7 * error_before
@@ -278,6 +273,13 @@ def test_a_damaged_file_is_one_line(tmp_path):
         ({"seed": "a"}, "seed: got a; allowed: an integer >= 0"),
         ({"seed": -1}, "seed: got -1; allowed: an integer >= 0"),
         ({"options": {"steps": 5}}, "options: got {'steps': 5}; allowed: RouteOptions"),
+        ({"robots": 0}, "robots: got 0; allowed: 1 to 4"),
+        ({"robots": 5}, "robots: got 5; allowed: 1 to 4"),
+        (
+            {"robots": 3, "start": [[1, 1], [2, 2]]},
+            "start: got 2 positions; allowed: one, or one for each robot",
+        ),
+        ({"robots": 2, "separation": -1.0}, "separation: got -1.0; allowed: >= 0"),
         (
             {"budget": 1e9},
             "budget: got 1e\\+09 m; allowed: at most 60000 m, that of 10,000 lines across the area",

@@ -85,9 +85,3 @@ def test_two_robots_learn_more_than_one_and_stay_apart():
     before = jax.jit(lambda: PointErrors.of(belief(), grid))()
     single = [left_by(before, *samples(jnp.asarray(each)))[0][-1] for each in routes]
     assert min(single) > 1.2 * found[0].error
-
-
-def test_a_separation_that_no_candidate_keeps_is_one_line():
-    with pytest.raises(ValueError, match="separation: got 9 m, which no candidate keeps; allowed: a smaller"):
-        plan_routes(belief(), POND, 30.0, [[0.5, 0.5], [5.5, 0.5]], [None] * 2, spacing=0.3, separation=9.0,
-                    options=QUICK)  # fmt: skip
