@@ -56,8 +56,6 @@ class TestStatistics:
         first, second = random.integers(0, 6, 13), random.integers(0, 5, 9)
         found = statistics.improvement_interval([(first, second)], is_paired=False)
         assert found.estimate == pytest.approx(share_of_wins(first, second))
-        u = stats.mannwhitneyu(first, second).statistic
-        assert found.estimate == pytest.approx(u / (first.size * second.size))
 
     @pytest.mark.parametrize("is_paired", [False, True])
     def test_the_interval_of_a_probability_is_that_of_a_bootstrap(self, is_paired):
@@ -92,17 +90,6 @@ class TestStatistics:
         assert apart.estimate == apart.high == 1.0 and 0.5 < apart.low < 0.7
         twice = statistics.improvement_interval([(first, second)] * 2, is_paired=False)
         assert twice.estimate - twice.low == pytest.approx((found.estimate - found.low) / np.sqrt(2))
-
-    def test_a_single_run_has_no_interval_and_no_value_or_nan_give_nan(self):
-        for found in (
-            statistics.iqm_interval([[3.0], [1.0, 2.0]]),
-            statistics.improvement_interval([([3.0], [1.0, 2.0])], is_paired=False),
-        ):
-            assert np.isfinite(found.estimate) and np.isnan([found.low, found.high]).all()
-        for strata in ([], [[]], [[1.0, np.nan]]):
-            assert np.isnan(statistics.iqm_interval(strata).estimate)
-            pairs = [(values, [1.0]) for values in strata]
-            assert np.isnan(statistics.improvement_interval(pairs, is_paired=False).estimate)
 
     def test_many_runs_take_fewer_resamples_and_give_the_same(self):
         random = np.random.default_rng(1)
@@ -201,16 +188,11 @@ def curves_of(path, runs, measure):
 
 
 class TestMethods:
-    def test_a_run_that_was_cut_off_scores_its_own_last_values_and_is_named(self):
+    def test_a_run_that_ended_scores_its_own_last_values_and_is_named_unless_it_succeeded(self):
         values = np.arange(40.0).reshape(2, 20)
         values[1, 10:] = np.nan
         (each,) = methods_of({"a": values}, EPISODES)
-        assert each.scores.tolist() == [18.5, 29.0]
-        assert each.cut_off == [1]
-
-    def test_a_run_that_a_success_ended_keeps_its_last_value(self):
-        values = np.arange(40.0).reshape(2, 20)
-        values[1, 10:] = np.nan
+        assert each.scores.tolist() == [18.5, 29.0] and each.cut_off == [1]
         for measure in (EPISODES, STEPS, replace(EPISODES, options=Options(last=3))):
             (each,) = methods_of({"a": values}, measure, success={"a": [1]})
             assert each.scores[1] == 29.0 and not each.cut_off

@@ -57,6 +57,7 @@ def test_a_curve_without_values_is_not_drawn_but_told():
     drawn = drawing(Panel("reward", "mean reward", [EMPTY, RISING]))
     assert drawn.caption.endswith("Without a value: b.")
     assert [text.get_text() for text in drawn.figure.axes[0].texts] == ["a"]
+    assert not drawn.curves  # one alone cannot be hidden
 
 
 def test_a_curve_has_the_colour_of_its_setting_whichever_others_have_values():
@@ -149,10 +150,6 @@ def test_a_curve_and_its_name_are_found_in_the_svg(suffix, is_swept):
         **{"curve-0": each + lead, "curve-1": each, "curve-2": each + lead},
         **dict.fromkeys(("name-0", "name-1", "name-2"), 1 + key),
     }
-
-
-def test_a_curve_alone_cannot_be_hidden():
-    assert not drawing(Panel("reward", "mean reward", [EMPTY, RISING])).curves
 
 
 def test_what_a_figure_adds_to_a_curve_is_hidden_with_it():

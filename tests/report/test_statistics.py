@@ -96,7 +96,12 @@ def test_intervals_of_a_skewed_mean_cover_it_as_often_as_the_documentation_says(
 
 
 def test_a_single_run_has_no_interval():
-    for interval in (statistics.mean_interval([3.0]), statistics.ratio_interval([3.0], [2.0])):
+    for interval in (
+        statistics.mean_interval([3.0]),
+        statistics.ratio_interval([3.0], [2.0]),
+        statistics.iqm_interval([[3.0], [1.0, 2.0]]),
+        statistics.improvement_interval([([3.0], [1.0, 2.0])], is_paired=False),
+    ):
         assert np.isfinite(interval.estimate) and np.isnan([interval.low, interval.high]).all()
     assert statistics.mean_interval([3.0]).in_words() == ("3", "(no interval)")
 
@@ -204,12 +209,6 @@ def test_one_share_has_wilsons_interval_and_a_ratio_of_shares_that_of_their_loga
     assert np.isnan(statistics.paired_shares([[1, 0]], [1, -1], is_ratio=True).estimate)
 
 
-def test_shares_without_trials_have_no_difference():
-    for counts in ((0, 0, 1, 2), (1, 2, 0, 0)):
-        assert np.isnan(statistics.share_difference(*counts).estimate)
-    assert np.isnan(statistics.paired_shares(np.zeros((0, 2)), [1, -1]).estimate)
-
-
 @pytest.mark.parametrize("second", [(2.95, 0.38, 20), (1.0, 5.0, 2), (3.0, 0.0, 20)])
 def test_differences_of_means_agree_with_scipys_welch_test(second):
     first = (3.1, 0.6, 200)
@@ -250,9 +249,17 @@ def test_a_p_value_is_the_level_at_which_the_bound_passes_a_value():
 
 
 def test_no_data_and_nan_have_no_interval():
-    for values in ([], [1.0, float("nan")]):
-        assert np.isnan(statistics.mean_interval(values).estimate)
-    assert np.isnan(statistics.share_interval([]).low)
+    for values in ([], [1.0, np.nan]):
+        for interval in (
+            statistics.mean_interval(values),
+            statistics.iqm_interval([values]),
+            statistics.improvement_interval([(values, [1.0])], is_paired=False),
+            statistics.share_interval([]),
+            statistics.share_difference(0, 0, 1, 2),
+            statistics.share_difference(1, 2, 0, 0),
+            statistics.paired_shares(np.zeros((0, 2)), [1, -1]),
+        ):
+            assert np.isnan([interval.estimate, interval.low, interval.high]).all()
 
 
 def test_a_band_of_shares_counts_only_the_runs_with_a_value():
