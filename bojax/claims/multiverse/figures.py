@@ -91,11 +91,8 @@ def claim_curve(multiverse: Multiverse, claim: ClaimOutcomes) -> Drawing | None:
 
     None if no configuration has an estimate, or no choice can change it.
     """
-    estimates = np.array([np.nan if each is None else each for each in claim.estimates], np.float64)
-    low, high = (
-        np.array([np.nan if each is None else each for each in bounds], np.float64)
-        for bounds in (claim.low, claim.high)
-    )
+    # None becomes NaN.
+    estimates, low, high = np.array([claim.estimates, claim.low, claim.high], np.float64)
     known = np.flatnonzero(np.isfinite(estimates))
     if not known.size or not (choices := multiverse.choices_of(claim)):
         return None

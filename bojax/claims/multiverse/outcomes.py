@@ -337,14 +337,12 @@ def distance(claims: Iterable[ClaimOutcomes], place: int) -> float:
 
 
 def effects(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, list[statistics.Interval]]:
-    """The share of configurations in which a claim holds, for each value of each choice that concerns it."""
+    """The share of configurations in which a claim holds, for each value of each choice that concerns it.
+
+    It is NaN for a value that no configuration has.
+    """
     names, found = list(multiverse.declaration["choices"]), {}
     for name, choice in multiverse.choices_of(claim).items():
         levels = multiverse.levels[:, names.index(name)]
-        found[name] = [
-            claim.share(levels == level)
-            if (levels == level).any()
-            else statistics.Interval(math.nan, math.nan, math.nan)
-            for level in range(len(choice["values"]))
-        ]
+        found[name] = [claim.share(levels == level) for level in range(len(choice["values"]))]
     return found

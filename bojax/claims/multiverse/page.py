@@ -1,6 +1,7 @@
 """The page of a multiverse analysis: shares by claim, effects of the choices, and the best configuration."""
 
 import math
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
         for name, each in {**drawings, **curves}.items()
     }
     style.write_images(page.parent, images)
+    design = multiverse.declaration["design"]
     values = {
         "name": multiverse.name,
         "title": multiverse.title,
@@ -59,14 +61,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
                 "runs of each point, seed",
                 f"{multiverse.declaration['runs']}, {multiverse.declaration['seed']}",
             ),
-            (
-                "design",
-                joined(
-                    f"{key} {value}"
-                    for key, value in multiverse.declaration["design"].items()
-                    if value is not None
-                ),
-            ),
+            ("design", joined(f"{key} {value}" for key, value in design.items() if value is not None)),
         ],
         "footer": "Written by bojax from multiverse.json, which has every verdict.",
     }
@@ -114,21 +109,15 @@ def _source(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
 
 def _decisive(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
     """The choice with the largest effect on a claim, in words; empty if none has one."""
-    best = ("", 0.0, "")
+    told, most = "", 0.0
     for name, intervals in effects(multiverse, claim).items():
-        known = [
-            (each.estimate, value)
-            for each, value in zip(intervals, multiverse.declaration["choices"][name]["values"], strict=True)
-            if math.isfinite(each.estimate)
-        ]
-        if (
-            known
-            and (gap := max(known, key=lambda pair: pair[0])[0] - min(known, key=lambda pair: pair[0])[0])
-            > best[1]
-        ):
-            high, low = max(known, key=lambda pair: pair[0]), min(known, key=lambda pair: pair[0])
-            best = name, gap, f"{name}: {high[0]:.0%} with {high[1]}, {low[0]:.0%} with {low[1]}"
-    return best[2]
+        shares = zip(intervals, multiverse.declaration["choices"][name]["values"], strict=True)
+        known = [(each.estimate, value) for each, value in shares if math.isfinite(each.estimate)]
+        high, low = (end(known, key=itemgetter(0), default=(0.0, "")) for end in (max, min))
+        if high[0] - low[0] > most:
+            most = high[0] - low[0]
+            told = f"{name}: {high[0]:.0%} with {high[1]}, {low[0]:.0%} with {low[1]}"
+    return told
 
 
 def _choices(multiverse: Multiverse) -> list[dict[str, Any]]:
@@ -151,21 +140,16 @@ def _best(multiverse: Multiverse) -> dict[str, Any] | None:
         return None
     claims, holding = multiverse.counted, multiverse.holding()
     place = multiverse.done.index(multiverse.best)
+    choices, levels = multiverse.declaration["choices"].items(), multiverse.configurations[multiverse.best]
     differing = []
-    for (name, choice), level in zip(
-        multiverse.declaration["choices"].items(), multiverse.configurations[multiverse.best], strict=True
-    ):
-        values = list(choice["values"])
+    for (name, choice), level in zip(choices, levels, strict=True):
         if level:
+            values = list(choice["values"])
             differing.append((name, str(values[0]), str(values[level])))
-    confirmed = multiverse.confirmed
-    ids = {claim.id for claim in claims}
-    fresh = None
+    confirmed, fresh, ids = multiverse.confirmed, None, {claim.id for claim in claims}
     if confirmed is not None:
-        fresh = [
-            sum(each.get(name) == CODES["reproduced"] for name in ids)
-            for each in (confirmed.best, confirmed.own)
-        ]
+        holds = CODES["reproduced"]
+        fresh = [sum(each.get(name) == holds for name in ids) for each in (confirmed.best, confirmed.own)]
     return {
         "number": multiverse.best,
         "total": len(claims),
