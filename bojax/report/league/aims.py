@@ -7,7 +7,7 @@ learned hyper-parameters were written when eleven maps of the first start had be
 """
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -15,19 +15,23 @@ from bojax.report.league.results import League
 from bojax.report.statistics import Interval
 
 REACHED, MISSED, OPEN, UNTESTED = "reached", "not reached", "inconclusive", "not tested"
-LAWNMOWERS = ("lawnmower", "lawnmower from a corner")
-RIVALS = (*LAWNMOWERS, "SGP-Tools")
+RIVALS = ("lawnmower", "lawnmower from a corner", "SGP-Tools")
 ODD = ("coast", "new-guinea", "course", "non-stationary")
 """Fields with holes or walls, and the one that is not stationary."""
 
 TIMED, MOST_SECONDS = 40, 5.0
 """Length of a route, and how many seconds of one core it may take."""
 
-SLOW = (
-    "seconds depend on the processor, and on what else it runs: on 27 November 2026, medians were 3.0 s on "
-    "an idle machine and 3.8 s on two busy cores."
-)
-"""What bounds the aim of the seconds of a route."""
+
+@dataclass(frozen=True)
+class Comparison:
+    """The ratio of the errors of a method to a rival's, and the verdict on the bound."""
+
+    rival: str
+    where: str
+    ratio: Interval
+    starts: int
+    verdict: str
 
 
 @dataclass(frozen=True)
@@ -41,10 +45,13 @@ class Aim:
         measure: Column of errors.
         own: Method.
         bound: Largest ratio of its errors to a rival's.
-        fields: Names of fields; None for those in the empty square, and all for every field.
+        fields: Names of fields; `square` for those in the empty square, and `all` for every field.
         by: What is compared one by one: `length`, `field`, or nothing.
         reason: What bounds it, where it is not reached or inconclusive: written after a run, whose numbers it
             may name.
+        verdict: Whether it is reached, set by `judged` with what follows.
+        found: What was found, in words.
+        comparisons: The comparisons behind the verdict.
     """
 
     short: str
@@ -57,32 +64,9 @@ class Aim:
     by: str = ""
     _: KW_ONLY
     reason: str
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The ratio of the errors of a method to a rival's, and the verdict on the bound."""
-
-    rival: str
-    where: str
-    ratio: Interval
-    pairs: int
-    starts: int
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Judged:
-    """An aim with its verdict, and the comparisons behind it."""
-
-    short: str
-    title: str
-    prediction: str
-    found: str
-    verdict: str
-    bound: float
+    verdict: str = UNTESTED
+    found: str = ""
     comparisons: Sequence[Comparison] = ()
-    reason: str = ""
 
 
 AIMS = (
@@ -189,18 +173,28 @@ AIMS = (
 )  # fmt: skip
 
 
-def judged(league: League) -> list[Judged]:
+TIME = Aim(
+    "time",
+    f"A route of length {TIMED} takes at most {MOST_SECONDS:g} s on one core after compilation.",
+    "reached: 3 s before the lawnmowers' lines stopped before the border",
+    "seconds", "bojax", MOST_SECONDS,
+    reason="seconds depend on the processor, and on what else it runs: on 27 November 2026, medians were "
+    "3.0 s on an idle machine and 3.8 s on two busy cores.",
+)  # fmt: skip
+
+
+def judged(league: League) -> list[Aim]:
     """Every aim with its verdict: reached or not if a whole 95% interval says so, else inconclusive."""
-    return [*(_judge(league, aim) for aim in AIMS), _judge_time(league)]
+    found = [*(_judge(league, aim) for aim in AIMS), _judge_time(league)]
+    return [each if each.verdict in (MISSED, OPEN) else replace(each, reason="") for each in found]
 
 
-def _judge(league: League, aim: Aim) -> Judged:
-    if aim.fields == "all":
+def _judge(league: League, aim: Aim) -> Aim:
+    fields = aim.fields
+    if fields == "all":
         fields = league.fields
-    elif aim.fields == "square":
-        fields = [field for field in league.fields if league.in_square(field)]
-    else:
-        fields = [field for field in league.fields if field in aim.fields]
+    elif fields == "square":
+        fields = [name for name, field in league.about["fields"].items() if field["place"] == "square"]
     groups: dict[str, tuple[Sequence[str], Sequence[int]]] = {"": (fields, league.lengths)}
     if aim.by == "length":
         groups = {f"length {length}": (fields, [length]) for length in league.lengths}
@@ -221,20 +215,15 @@ def _judge(league: League, aim: Aim) -> Judged:
     )  # fmt: skip
     count = f"{verdicts.count(REACHED)} of {len(found)} comparisons within the bound"
     count += f", {verdicts.count(MISSED)} beyond it"
-    reason = aim.reason if verdict in (MISSED, OPEN) else ""
-    return Judged(aim.short, aim.title, aim.prediction, count, verdict, aim.bound, found, reason)
+    return replace(aim, verdict=verdict, found=count, comparisons=found)
 
 
-def _judge_time(league: League) -> Judged:
-    title = f"A route of length {TIMED} takes at most {MOST_SECONDS:g} s on one core after compilation."
-    prediction = "reached: 3 s before the lawnmowers' lines stopped before the border"
+def _judge_time(league: League) -> Aim:
     if not (seconds := league.seconds.get(TIMED)):
-        return Judged("time", title, prediction, "", UNTESTED, MOST_SECONDS)
+        return TIME
     median = float(np.median(seconds))
     found = f"median of {median:.1f} CPU s, the comparison with lawnmowers included"
-    verdict = REACHED if median <= MOST_SECONDS else MISSED
-    reason = "" if verdict == REACHED else SLOW
-    return Judged("time", title, prediction, found, verdict, MOST_SECONDS, reason=reason)
+    return replace(TIME, verdict=REACHED if median <= MOST_SECONDS else MISSED, found=found)
 
 
 def _verdict(ratio: Interval, bound: float) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing
-from bojax.report.league.aims import MISSED, OPEN, REACHED, Comparison, Judged
+from bojax.report.league.aims import MISSED, OPEN, REACHED, Aim, Comparison
 from bojax.report.text import counted, number
 
 DRAWN, TICKS = (0.45, 2.2), (0.5, 0.7, 1.0, 1.4, 2.0)
@@ -17,7 +17,7 @@ COLOURS = {REACHED: style.BLUE, OPEN: style.GREY, MISSED: style.ORANGE}
 """Colours of verdicts."""
 
 
-def draw_ratios(judged: Sequence[Judged]) -> Drawing:
+def draw_ratios(judged: Sequence[Aim]) -> Drawing:
     """Every comparison behind an aim, with the bound that the aim sets."""
     rows = [(each, comparison) for each in judged for comparison in each.comparisons]
     figure, grid = style.figure(0.9 + 0.23 * len(rows))
@@ -65,7 +65,7 @@ def draw_routes(routes: Mapping[str, Any], title: str) -> Drawing:
     return Drawing(figure, "Routes", title, f"Routes of {counted(len(routes), 'method')} from one start.")
 
 
-def _heading(each: Judged, comparison: Comparison) -> str:
+def _heading(each: Aim, comparison: Comparison) -> str:
     where = f", {comparison.where}" if comparison.where else ""
     return f"{each.short}{where}: {comparison.rival.replace('lawnmower from a corner', 'corner')}"
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.report import style
-from bojax.report.league.aims import MISSED, OPEN, REACHED, Judged, judged
+from bojax.report.league.aims import MISSED, OPEN, REACHED, Aim, judged
 from bojax.report.league.figures import draw_ratios, draw_routes, in_words
 from bojax.report.league.results import CELLS, League
 from bojax.report.tables import Cell, Table
@@ -60,7 +60,7 @@ def write_pages(folder: Path) -> list[Path]:
     return paths
 
 
-def _summary(league: League, aims: list[Judged]) -> str:
+def _summary(league: League, aims: list[Aim]) -> str:
     verdicts = [aim.verdict for aim in aims]
     kinds = joined(f"{verdicts.count(kind)} {kind}" for kind in (REACHED, MISSED, OPEN) if kind in verdicts)
     real = sum(field["is_real"] for field in league.about["fields"].values())
@@ -93,7 +93,7 @@ def _tables(league: League) -> dict[str, Table]:
     return tables
 
 
-def _comparisons(aims: list[Judged]) -> Table:
+def _comparisons(aims: list[Aim]) -> Table:
     rows = [
         (
             each.short,

@@ -25,13 +25,11 @@ class League:
         about: Its description.
         errors: Errors by start, for each measure, field, length and method.
         seconds: CPU seconds that `bojax survey` took after the first start, by length.
-        cells: Number of its pieces.
     """
 
     about: Mapping[str, Any]
     errors: Mapping[Key, Mapping[int, float]]
     seconds: Mapping[int, Sequence[float]]
-    cells: int
 
     @classmethod
     def read(cls, folder: Path) -> "League":
@@ -54,7 +52,7 @@ class League:
                 for method, scores in by_method.items():
                     for measure, value in scores.items():
                         errors[measure, field, length, method][start] = value
-        return cls(read_json(folder / LEAGUE), errors, seconds, len(files))
+        return cls(read_json(folder / LEAGUE), errors, seconds)
 
     @property
     def fields(self) -> list[str]:
@@ -66,10 +64,6 @@ class League:
         """Lengths of its routes."""
         return list(self.about["lengths"])
 
-    def in_square(self, field: str) -> bool:
-        """Whether a field lies in the empty square."""
-        return self.about["fields"][field]["place"] == "square"
-
     def mean(self, measure: str, field: str, length: int, method: str) -> Interval | None:
         """Mean over the starts; None without any."""
         found = self.errors.get((measure, field, length, method))
@@ -77,11 +71,11 @@ class League:
 
     def ratio(
         self, measure: str, own: str, other: str, fields: Sequence[str], lengths: Sequence[int]
-    ) -> tuple[Interval, int, int] | None:
-        """Sum of a method's errors over another's, and the numbers of pairs of field and length, and starts.
+    ) -> tuple[Interval, int] | None:
+        """Sum of a method's errors over another's, and the number of starts.
 
-        Pairs are left out if one of the methods has no route for them, and starts that a pair lacks. None
-        if nothing is left.
+        Pairs of field and length are left out if one of the methods has no route for them, and starts that
+        a pair lacks. None if nothing is left.
         """
         pairs = [
             (mine, theirs)
@@ -98,4 +92,4 @@ class League:
         numerator, denominator = (
             np.array([sum(pair[side][start] for pair in pairs) for start in starts]) for side in (0, 1)
         )
-        return ratio_interval(numerator, denominator), len(pairs), len(starts)
+        return ratio_interval(numerator, denominator), len(starts)
