@@ -12,7 +12,6 @@ from bojax.planning.leaf_values import Rollout, StateValue
 from bojax.planning.proposals import VoronoiProposal
 from bojax.planning.tree import ROOT
 from bojax.planning.widening import Widening, capacity
-from bojax.problems.actions import Balls, Box, Discrete, Mixed
 from bojax.problems.particles import Particles
 from tests.planning import belief_searches
 from tests.planning.belief_searches import (
@@ -286,20 +285,6 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
     assert abs(np.mean(np.abs(uniform) < 0.5) - 0.5) < 4 * 0.5 / np.sqrt(num)
 
 
-def test_actions_of_a_policy_are_encoded_as_parameters():
-    unit, values = jnp.ones(2), jnp.asarray([[0.5], [2.0], [-1.0]])
-    box = Box(-2.0 * unit, 3.0 * unit)
-    spaces = [box, Discrete(values), Mixed(box, jnp.asarray([0.0, 1.0, 5.0])), Balls(number(1.5), 2, 2)]
-    for space in spaces:
-
-        def drawn(key, space=space):
-            action = space.decode(space.sample(key))
-            return action, space.decode(space.encode(action))
-
-        actions, again = jax.jit(jax.vmap(drawn))(jax.random.split(jax.random.key(0), 10))
-        np.testing.assert_allclose(again, actions, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", by_tier(["pft", "pomcpow"], normal=["pft"]))
 def test_the_first_action_of_the_root_is_that_of_the_policy(name):
     problem = drift()
@@ -319,12 +304,3 @@ def test_rollouts_follow_their_policy_to_the_horizon_and_no_further():
         # Every step ends at noise of variance 0.09, whose square is the loss.
         expected = -0.09 * sum(0.9**step for step in range(remaining))
         assert abs(float(value) - expected) <= 5 * 0.09 * np.sqrt(2 * remaining / 400)
-
-
-def test_a_voronoi_proposal_has_a_variance_for_each_parameter():
-    problem = drift()
-    tree = search(planner("pft", ITERATIONS), problem, belief_of(problem))
-    proposal = VoronoiProposal(number(0.0), number([0.1, 0.2]), number(0.0), 4)
-    with pytest.raises(ValueError, match=r"planner\.proposal\.variance: got 2 numbers; allowed: 1"):
-        totals = tree.totals_of(tree.children[ROOT])
-        proposal(jax.random.key(0), problem.actions, tree, jnp.asarray(ROOT), totals)

@@ -14,7 +14,7 @@ from bojax.models.kernels import RBF
 from bojax.planning.gp_proposal import GaussianProcessProposal
 from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
-from bojax.problems.actions import Box, Mixed
+from bojax.problems.actions import Mixed
 from tests.planning.belief_searches import (
     belief_of,
     drift,
@@ -132,21 +132,6 @@ def test_the_proposal_is_that_of_the_posterior(problem, name, learns):
         np.testing.assert_allclose(chosen, candidates[np.argmax(score)])
         random = eqx.filter_jit(proposal(num_initial=50))(key, space, tree, at, jnp.asarray(totals))
         np.testing.assert_allclose(random, candidates[0])
-
-
-def test_an_angle_has_no_wall_and_a_level_is_a_correlation():
-    space = VDP.actions
-    rule = proposal()
-    kernel = RBF(number(LENGTHSCALE))
-    near_zero, near_turn = jnp.asarray([-0.99, -0.5]), jnp.asarray([0.99, -0.5])
-    far = jnp.asarray([0.0, -0.5])
-    to = lambda a, b: float(kernel(space.coordinates(a), space.coordinates(b)))  # noqa: E731
-    assert to(near_zero, near_turn) == pytest.approx(np.exp(-2 * np.sin(0.01 * np.pi) ** 2 / LENGTHSCALE**2))
-    assert to(near_zero, far) < 0.01
-    assert isinstance(space, Mixed) and isinstance(space.box, Box)
-    for look in (-0.5, 0.5):
-        assert int(space.level(jnp.asarray([0.3, look]))) == int(space.decode(jnp.asarray([0.3, look]))[1])
-    assert rule.target == "return"
 
 
 @pytest.mark.slow

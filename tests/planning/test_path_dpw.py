@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bojax.motions.base import ContinuousMotions, place, sample_by_arc_length
-from bojax.numerics.lanes import LANES
 from bojax.planning.path_dpw import PathDPW
 from bojax.planning.proposals import RandomProposal
 from bojax.planning.tree import ROOT
@@ -49,25 +48,20 @@ def path_dpw(motions=None, widening=(1.0, 1.0), iterations=40, **settings):
     )
 
 
-def tree_of(planner, key, problem, belief):
+@eqx.filter_jit
+def search(planner, key, problem, belief):
     key_paths, key_search = jax.random.split(key)
     return planner.search(key_search, planner.model(key_paths, problem, belief), belief)
-
-
-search = eqx.filter_jit(tree_of)
 
 
 def seen(problem):
     return field_belief(problem, (2.5, 3.0, 0.3), 12, NUM_SAMPLES)
 
 
-TWO_ACTIONS = path_dpw(max_actions=2)
-
-
 def test_branches_are_other_observations_of_one_path():
     problem = monitoring(**OPEN)
     belief = seen(problem)
-    tree = search(TWO_ACTIONS, jax.random.key(0), problem, belief)
+    tree = search(path_dpw(max_actions=2), jax.random.key(0), problem, belief)
     for slot in range(2):
         action = int(tree.children[ROOT, slot])
         branches = np.asarray(tree.branches[action])
@@ -126,15 +120,3 @@ def test_the_plan_of_one_action_is_the_path_of_the_highest_reward():
     rewards = [float(paid(tree.parameters[tree.children[ROOT, slot]])) for slot in actions]
     assert float(plan.value) == pytest.approx(max(rewards))
     assert float(plan.reward) == pytest.approx(max(rewards))
-
-
-def test_a_lane_of_a_batch_is_a_search_of_its_own():
-    problem = monitoring(**OPEN)
-    belief = seen(problem)
-    keys = jax.random.split(jax.random.key(3), 3)
-    in_batch = jax.vmap(lambda key: tree_of(TWO_ACTIONS, key, problem, belief), axis_name=LANES)
-    batch = eqx.filter_jit(in_batch)(jnp.copy(keys))
-    for lane, key in enumerate(keys):
-        one = search(TWO_ACTIONS, key, problem, belief)
-        for found, expected in ((batch.totals, one.totals), (batch.parameters, one.parameters)):
-            np.testing.assert_allclose(found[lane], expected, rtol=1e-9, atol=1e-9)

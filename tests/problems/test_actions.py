@@ -21,11 +21,13 @@ def decoded(space, count=2000):
 
 
 @pytest.mark.parametrize("space", [BOX, ANGLE_AND_LOOK, LIST, BALLS])
-def test_a_random_action_belongs_to_the_space(space):
+def test_a_random_action_belongs_to_the_space_and_is_that_of_its_parameters(space):
     parameters, actions = decoded(space)
     assert parameters.shape[1] == space.size
     contains = jax.jit(jax.vmap(space.contains))
     assert np.all(contains(actions)) and not contains(actions + 100.0)[0]
+    again = jax.jit(jax.vmap(lambda action: space.decode(space.encode(action))))(actions)
+    np.testing.assert_allclose(again, actions, atol=1e-12)
 
 
 def test_a_box_maps_its_corners():
