@@ -14,7 +14,6 @@ from bojax.problems.settings import Monitoring
 from tests.planning.samples import f64, monitoring
 from tests.problems.test_budget import START, simulated_and_driven
 from tests.problems.test_monitoring import SIZE, drives
-from tests.runs import run, tables
 
 BUDGET, END = 2.4, np.array([0.4, 0.4])
 HOMING = monitoring(walls=None, target_area=None, budget=f64(BUDGET), end=f64(END))
@@ -94,20 +93,6 @@ def test_a_time_at_a_speed_is_a_budget():
     by_time, by_distance = Monitoring(time_budget=8.6, speed=0.5, **ends), Monitoring(budget=4.3, **ends)
     left = [build(settings).reset(jax.random.key(0)).left for settings in (by_time, by_distance)]
     assert left == [4.3, 4.3]
-
-
-def test_runs_end_at_the_point_within_the_budget(tmp_path):
-    config = tmp_path / "survey.yaml"
-    config.write_text(
-        "experiment: planning\nproblem: {kind: monitoring, time_budget: 8.6, speed: 0.5, end: [1, 2], "
-        "start: [3, 3, 0], resolution: 9, max_steps: 30}\nplanner: {kind: random}\nruns: 3\n"
-    )
-    runs, steps = tables(run(tmp_path / "out", str(config)))
-    assert runs["success"] == [True] * 3
-    last = [index for index, done in enumerate(steps["done"]) if done]
-    np.testing.assert_allclose([(steps["x"][index], steps["y"][index]) for index in last], [[1, 2]] * 3)
-    distances = np.array([steps["distance"][index] for index in last])
-    assert np.all(distances <= 4.3 + 1e-9) and np.all(distances > 3.0)
 
 
 @pytest.mark.parametrize(

@@ -182,7 +182,6 @@ CAN_SLEEP = "<option><flag sleep='enable'/></option>"
 
 REFUSED = [
     (CYLINDER_ON_BOX, r"MJX refuses the model: .*CYLINDER.*BOX.* not implemented"),
-    (slider(option="<option solver='PGS'/>"), "MJX refuses the model: .*PGS"),
     ("<mujoco><worldbody>", "XML"),
     ("<mujoco><worldbody><body><jont/></body></worldbody></mujoco>", "jont"),
     (
@@ -191,12 +190,6 @@ REFUSED = [
     ),
     ("", "XML"),
     (slider(*PID), "MJX cannot simulate the model: plugins$"),
-    (slider(actuator="<general joint='x' dyntype='filter' dynprm='0.05'/>"), "activation of their own"),
-    (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
-    (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
-    (slider(option="<option noslip_iterations='3'/>"), "noslip iterations"),
-    (slider(option=CAN_SLEEP), "sleeping bodies"),
-    (slider(option="<option integrator='discrete'/>"), "the integrator discrete"),
 ]
 """Models that MJX or MuJoCo refuse, and why."""
 
