@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.envs.base import Action, Env, EnvState, Observation
-from bojax.envs.spaces import Box, Discrete, Space
+from bojax.envs.spaces import Box, Space
 
 
 class Episode(eqx.Module):
@@ -76,8 +76,7 @@ class GymnaxEnv:
     @property
     def num_actions(self) -> int:
         """Number of actions, or of dimensions of an action."""
-        space = self.default_params.action_space
-        return space.num if isinstance(space, Discrete) else space.num_dims
+        return self.default_params.action_space.num_units
 
     def observation_space(self, params: Env | None = None) -> GymnaxSpace:
         """Declared bounds of observations; observations may lie outside them."""

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.base import Env
-from bojax.envs.spaces import Discrete, Space
 from bojax.experiments.learning import Starts, env_of_run, reset_key, shares_start
 from bojax.numerics.lanes import LANES, any_lane
 
@@ -50,7 +49,7 @@ def _episode(
     def step(loop):
         time, state, action, episode, is_active = loop
         keys = jax.random.split(jax.random.fold_in(key, time))
-        action = jnp.where(time % hold == 0, _random_action(keys[0], env.action_space), action)
+        action = jnp.where(time % hold == 0, env.action_space.sample(keys[0]), action)
         after, made = env.step(keys[1], state, action)
         episode = RandomEpisode(
             episode.total + jnp.where(is_active, made.reward, jnp.zeros_like(made.reward)),
@@ -65,9 +64,3 @@ def _episode(
     loop = zero, state, env.action_space.example, episode, jnp.ones((), bool)
     loop = jax.lax.while_loop(lambda loop: any_lane(loop[4]) & (loop[0] < env.max_steps), step, loop)
     return loop[3]
-
-
-def _random_action(key: Key[Array, ""], space: Space) -> Array:
-    if isinstance(space, Discrete):
-        return jax.random.randint(key, (), 0, space.num, jnp.int32)
-    return space.from_unit(jax.random.uniform(key, space.low.shape, space.low.dtype))

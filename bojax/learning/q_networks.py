@@ -20,7 +20,6 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Space
 from bojax.learning.actions import grid_actions, nearest_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
-from bojax.learning.inputs import as_inputs, input_size
 from bojax.learning.memory import Memory, emptied
 from bojax.learning.network import Network
 
@@ -99,7 +98,7 @@ class QNetworkLearner(Learner):
     ) -> QNetworkState:
         key_networks, key_extra = jax.random.split(key)
         actions = grid_actions(self.actions_per_dimension, action_space)
-        trained, fixed = self.networks(key_networks, input_size(observation_space), len(actions))
+        trained, fixed = self.networks(key_networks, observation_space.num_units, len(actions))
         # At least one row: an empty array cannot be spread over devices.
         number = jnp.zeros((), jnp.int32)
         memory = Memory.empty(max(1, capacity), observation_space.example, number, self.discount.dtype)
@@ -175,7 +174,7 @@ class QNetworkLearner(Learner):
 
     def inputs(self, state: QNetworkState, observation: Observation) -> Float[Array, "*N I"]:
         """Inputs of the networks: observations with bounds mapped to -1 and 1, or one-hot discrete states."""
-        return as_inputs(state.observations, observation, self.discount.dtype)
+        return state.observations.inputs(observation, self.discount.dtype)
 
     def batch(self, state: QNetworkState) -> Batch:
         """The transitions of the next gradient step."""

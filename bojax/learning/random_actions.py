@@ -1,13 +1,12 @@
 """Uniformly random actions, the baseline of exploration."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
-from bojax.envs.spaces import Discrete, Space
+from bojax.envs.spaces import Space
 from bojax.learning.base import ExplorationState, Learner
 
 
@@ -39,10 +38,7 @@ class RandomActions(Learner):
         self, key: Key[Array, ""], state: Space, observation: Observation, exploration: ExplorationState
     ) -> tuple[Action, Float[Array, ""]]:
         """A uniform draw from the action space, in tests as in training; the expected return is 0."""
-        zero = jnp.zeros_like(exploration.scale)
-        if isinstance(state, Discrete):
-            return jax.random.randint(key, (), 0, state.num, jnp.int32), zero
-        return state.from_unit(jax.random.uniform(key, state.low.shape, state.low.dtype)), zero
+        return state.sample(key), jnp.zeros_like(exploration.scale)
 
     @override
     def values(

@@ -111,14 +111,13 @@ class PolicyNetwork(eqx.Module):
 
         `hidden` is the number of units of each hidden layer, `deviation` belongs to the Gaussian.
         """
-        num_outputs = actions.num if isinstance(actions, Discrete) else actions.num_dims
-        sizes = (num_inputs, *hidden, num_outputs)
+        sizes = (num_inputs, *hidden, actions.num_units)
         keys = jax.random.split(key, len(sizes) - 1)
         draw = partial(_layer, deviation.dtype)
         network = Network(tuple(map(draw, keys, sizes[:-1], sizes[1:])), jnp.tanh)
         if isinstance(actions, Discrete):
             return cls(network, None)
-        return cls(network, jnp.broadcast_to(jnp.log(deviation), (num_outputs,)))
+        return cls(network, jnp.broadcast_to(jnp.log(deviation), sizes[-1:]))
 
     def __call__(self, inputs: Float[Array, "I"]) -> ActionDistribution:
         """The distribution of actions after an observation."""

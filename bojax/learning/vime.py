@@ -15,7 +15,6 @@ from bojax.envs.spaces import Box, Discrete, Space
 from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
 from bojax.learning.base import Episode, ExplorationState, Learner
 from bojax.learning.episode_batch import EpisodeBatch
-from bojax.learning.inputs import as_inputs, input_size
 from bojax.learning.memory import emptied
 from bojax.learning.replay import ReplayPool, Standardisation
 from bojax.learning.stochastic_policy import PolicyNetwork
@@ -116,9 +115,9 @@ class VIME(Learner):
         key_policy, key_model = jax.random.split(key)
         dtype = self.eta.dtype
         observation, action = observation_space.example, action_space.example
-        size = input_size(observation_space)
+        size = observation_space.num_units
         policy = PolicyNetwork.draw(key_policy, size, self.policy_units, action_space, self.initial_deviation)
-        sizes = size + input_size(action_space), self.model_units, size
+        sizes = size + action_space.num_units, self.model_units, size
         model = BayesianNetwork.draw(key_model, sizes, self.prior_deviation)
         # With D and A the sizes of observations and actions, a lane keeps 2 D + A numbers a row of the pool,
         # and 2 D + A + 3 a row of the batch: in single precision 1.2 MB for 100 episodes of 500 steps on
@@ -322,7 +321,7 @@ class VIME(Learner):
     # Observations and actions as vectors.
 
     def _vectors(self, space: Space, values: Observation | Action) -> Float[Array, "*N D"]:
-        return as_inputs(space, values, self.eta.dtype)
+        return space.inputs(values, self.eta.dtype)
 
     def _drawn(self, space: Space, actions: Action) -> Array:
         """Actions as the policy drew them."""
@@ -341,7 +340,7 @@ class VIME(Learner):
         """The standardisations of inputs and of outputs; s and s' have the statistics of s."""
         rows, _ = self._pairs(state, pool.observations, pool.actions, pool.next_observations)
         inputs = Standardisation.of(rows, pool.is_filled)
-        number = input_size(state.observations)
+        number = state.observations.num_units
         return inputs, Standardisation(inputs.mean[:number], inputs.deviation[:number])
 
 

@@ -1,21 +1,12 @@
 """Every environment: it is reset, observed and stepped."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from bojax.engine.build import build
 from bojax.engine.training import train
-from bojax.envs.spaces import Discrete
 from tests.parts import tiny
 from tests.protocol.lanes import each_kind, of_one
-
-
-def uniform(key, space):
-    """A random element of a space."""
-    if isinstance(space, Discrete):
-        return jax.random.randint(key, (), 0, space.num, jnp.int32)
-    return space.from_unit(jax.random.uniform(key, space.low.shape, space.low.dtype))
 
 
 def two_steps(env, key, _):
@@ -26,7 +17,7 @@ def two_steps(env, key, _):
 
     def step(state, key):
         key_step, key_action = jax.random.split(key)
-        return env.step(key_step, state, uniform(key_action, env.action_space))
+        return env.step(key_step, state, env.action_space.sample(key_action))
 
     _, transitions = jax.lax.scan(step, state, jax.random.split(key_steps))
     return env.observe(state), transitions, env.observation_space
