@@ -320,13 +320,9 @@ class Gymnasium(EnvironmentSettings, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _key_counts(self) -> "Gymnasium":
+    def _can_be_made(self) -> "Gymnasium":
         if self.success_key is not None and self.success != "info":
             raise ValueError(f'success_key: got "{self.success_key}"; allowed: null, unless success is info')
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _json(self) -> "Gymnasium":
         try:
             json.dumps(self.kwargs)
         except TypeError as error:

@@ -36,7 +36,7 @@ class Planning(ExperimentSettings, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _actions_of_the_problem(self) -> "Planning":
+    def _planner_fits_problem(self) -> "Planning":
         is_known = not isinstance(self.problem, External) and not isinstance(self.planner, External)
         has_particles = isinstance(self.problem, StateProblemSettings)
         if is_known and has_particles != isinstance(self.planner, BeliefPlannerSettings):
@@ -46,26 +46,18 @@ class Planning(ExperimentSettings, frozen=True):
                 f"planner: got {self.planner.label}; the actions of {self.problem.label} are "
                 f"{'vectors' if has_particles else 'paths'}; allowed: {', '.join(fitting)}"
             )
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _field_to_sample(self) -> "Planning":
         if isinstance(self.problem, FieldProblem) and self.problem.field is None:
             raise ValueError(
                 "problem.field: got null; allowed: a true field, which a run samples, such as {kind: grid, "
                 "file: depth.tif}; bojax survey and bojax.Mission plan without one"
             )
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _needs_a_field(self) -> "Planning":
-        is_known = not isinstance(self.problem, External | FieldProblem)
-        if is_known and isinstance(self.planner, RouteSettings):
+        has_no_field = not isinstance(self.problem, External | FieldProblem)
+        if has_no_field and isinstance(self.planner, RouteSettings):
             raise ValueError(
                 f"planner: got {self.planner.label}, which follows a route on a field, and "
                 f"{self.problem.label} has no field; allowed: another planner"
             )
-        if is_known and getattr(self.planner, "objective", None) is not None:
+        if has_no_field and getattr(self.planner, "objective", None) is not None:
             raise ValueError(
                 f"planner.objective: {self.planner.label} maximises an objective on a field, and "
                 f"{self.problem.label} has no field: set planner.objective to null, or choose another planner"

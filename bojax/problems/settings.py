@@ -328,13 +328,9 @@ class FieldProblem(ProblemSettings, frozen=True):
         return walls if walls is None else tuple(map(proper_box, walls))
 
     @pydantic.model_validator(mode="after")
-    def _errors_of_region(self) -> "FieldProblem":
+    def _has_what_settings_need(self) -> "FieldProblem":
         if self.region is not None and not self.errors_by_step:
             raise ValueError("region: needs errors_by_step: true")
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _can_relearn(self) -> "FieldProblem":
         if self.relearn_every > 0 and self.noise_variance == 0.0:
             raise ValueError(
                 "noise_variance: got 0; allowed: > 0 where relearn_every is: it is the median of a prior"
@@ -343,16 +339,17 @@ class FieldProblem(ProblemSettings, frozen=True):
 
     @pydantic.model_validator(mode="after")
     def _placed_area(self, info: Any) -> "FieldProblem":
-        if not isinstance(self.area, OutlinedArea) or info.context is RECORDED:
+        area = self.area
+        if not isinstance(area, OutlinedArea) or info.context is RECORDED:
             return self
-        place = self.area.place
-        is_placed = place.projection.crs is not None
-        if self.area.frame is None and is_placed and isinstance(self.field, Grid | Scattered):
+        is_placed = area.place.projection.crs is not None
+        if area.frame is None and is_placed and isinstance(self.field, Grid | Scattered):
             # Results record the frame, as they do the extent of the field.
             if frame_of(self.field.file).crs is not None:
-                object.__setattr__(self, "area", self.area.model_copy(update={"frame": self.field.file}))
+                area = area.model_copy(update={"frame": self.field.file})
+                object.__setattr__(self, "area", area)
         if "domain" not in self.model_fields_set:
-            object.__setattr__(self, "domain", self._outlined.place.area.bounds)
+            object.__setattr__(self, "domain", area.place.area.bounds)
         return self
 
     @pydantic.model_validator(mode="after")
@@ -374,26 +371,13 @@ class FieldProblem(ProblemSettings, frozen=True):
             )
         return self
 
-    @property
-    def _outlined(self) -> OutlinedArea:
-        assert isinstance(self.area, OutlinedArea)
-        return self.area
-
     @pydantic.model_validator(mode="after")
-    def _target_in_domain(self) -> "FieldProblem":
+    def _in_free_space(self, info: Any) -> "FieldProblem":
         if self.target_area is not None:
             low_x, low_y, high_x, high_y = self.target_area
-            if (
-                low_x > self.domain[2]
-                or low_y > self.domain[3]
-                or high_x < self.domain[0]
-                or high_y < self.domain[1]
-            ):
+            is_beside = low_x > self.domain[2] or high_x < self.domain[0]
+            if is_beside or low_y > self.domain[3] or high_y < self.domain[1]:
                 raise ValueError("target_area: lies outside the domain")
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _free_start(self, info: Any) -> "FieldProblem":
         ends = {"start": self.start, "end": self.end}
         for name, point in ends.items():
             if point is not None:
