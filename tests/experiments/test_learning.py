@@ -270,10 +270,6 @@ def test_the_numbers_of_a_run_are_those_of_its_rows():
     [
         ({"kind": "decay", "rate": 1.0}, [2, 1, 2 / 3, 0.5, 0.4, 1 / 3]),
         ({"kind": "budget", "episodes": 1, "resume_after": 2}, [2, 0, 0, 2, 2, 2]),
-        # Further schedules, whose numbers tests/learning/test_schedules.py tests.
-        pytest.param("constant", [2, 2, 2, 2, 2, 2], marks=pytest.mark.slow),
-        pytest.param({"kind": "budget", "episodes": 2}, [2, 2, 0, 0, 0, 0], marks=pytest.mark.slow),
-        pytest.param("exploit", [0, 0, 0, 0, 0, 0], marks=pytest.mark.slow),
     ],
 )
 def test_kappa_is_reported_as_the_schedule_has_it(schedule, expected):

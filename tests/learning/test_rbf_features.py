@@ -35,18 +35,6 @@ def test_features_are_those_of_the_formula(width):
     np.testing.assert_allclose(np.linalg.norm(phi), 1.0)
 
 
-def test_features_are_bilinear():
-    features, rng = drawn(), np.random.default_rng(0)
-    weights, matrix = jnp.asarray(rng.normal(size=36)), jnp.asarray(rng.normal(size=(36, 36)))
-    s, actions = jnp.asarray([0.3, -1.1]), jnp.asarray([[1.7], [-0.4], [2.9]])
-    x, ys = features.state(s), jax.vmap(features.action)(actions)
-    phis = np.asarray(jax.jit(lambda actions: jax.vmap(lambda action: features(s, action))(actions))(actions))
-    np.testing.assert_allclose(x @ features.split(weights, ys[0]), phis[0] @ weights, atol=1e-12)
-    np.testing.assert_allclose(
-        x @ features.mean_form(matrix, ys) @ x, np.mean([phi @ matrix @ phi for phi in phis]), atol=1e-12
-    )
-
-
 def test_a_value_far_from_all_centres_is_that_at_the_border():
     features, a = drawn(width=0.05), jnp.asarray([0.0])
     inside, outside = features(jnp.asarray([1.0, 2.0]), a), features(jnp.asarray([9.0, 30.0]), a)
