@@ -34,9 +34,22 @@ ESTIMATORS = {
 each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
 
 
-def test_without_learning_it_is_the_posterior_of_scikit_learn():
-    ours = GaussianProcessRegressor(FIXED, 0.1, standardise=False, optimise=False).fit(X, Y)
-    reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=0.1, optimizer=None).fit(X, Y)
+NOISES = rng.uniform(0.01, 1.0, 20)
+
+
+@pytest.mark.parametrize(
+    "kernel, reference, noises",
+    [
+        (FIXED, 2.0 * sk.RBF([0.5, 0.8]), None),
+        (FIXED, 2.0 * sk.RBF([0.5, 0.8]), NOISES),
+        ("matern52", 1.0 * sk.Matern([1.0, 1.0], nu=2.5), None),
+    ],
+    ids=["one noise", "noise of each", "a name"],
+)
+def test_without_learning_it_is_the_posterior_of_scikit_learn(kernel, reference, noises):
+    ours = GaussianProcessRegressor(kernel, standardise=False, optimise=False)
+    ours.fit(X, Y, noise_variances=noises)
+    reference = Reference(reference, alpha=0.1 if noises is None else noises, optimizer=None).fit(X, Y)
     for found, expected in zip(
         ours.predict(QUERIES, return_std=True), reference.predict(QUERIES, return_std=True), strict=True
     ):
@@ -45,6 +58,7 @@ def test_without_learning_it_is_the_posterior_of_scikit_learn():
     evidence = reference.log_marginal_likelihood(reference.kernel_.theta)
     np.testing.assert_allclose(ours.log_marginal_likelihood_, evidence, atol=1e-10)
     assert ours.has_converged_ is None and ours.noise_variance_ == 0.1
+    assert ours.get_params()["kernel"] is kernel
 
 
 def test_learning_raises_the_evidence():
@@ -150,14 +164,6 @@ def test_float32_refuses_numbers_that_it_does_not_resolve(estimator):
     for x, y, name in ((X + 1.7e9, Y, "X"), (X, Y + 1e7, "y")):
         with pytest.raises(ValueError, match=f"{name}: float32 does not resolve values that differ by"):
             estimator(dtype="float32").fit(x, y)
-
-
-def test_each_observation_may_have_its_noise():
-    noise = rng.uniform(0.01, 1.0, 20)
-    ours = GaussianProcessRegressor(FIXED, standardise=False, optimise=False)
-    ours.fit(X, Y, noise_variances=noise)
-    reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=noise, optimizer=None).fit(X, Y)
-    np.testing.assert_allclose(ours.predict(QUERIES), reference.predict(QUERIES), atol=1e-12)
 
 
 def test_a_linear_model_learns_both_precisions():
@@ -302,13 +308,6 @@ def test_the_precision_is_asked_for():
 def test_bojax_needs_no_scikit_learn():
     program = "import sys, bojax.models.estimators; sys.exit('sklearn' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-
-
-def test_a_name_is_a_scaled_kernel_with_a_lengthscale_for_each_column():
-    named = GaussianProcessRegressor("matern52", standardise=False, optimise=False).fit(X, Y)
-    reference = Reference(1.0 * sk.Matern([1.0, 1.0], nu=2.5), alpha=0.1, optimizer=None).fit(X, Y)
-    np.testing.assert_allclose(named.predict(QUERIES), reference.predict(QUERIES), atol=1e-12)
-    assert named.kernel_.kernel.lengthscale.shape == (2,) and named.get_params()["kernel"] == "matern52"
 
 
 def test_a_kernel_of_python_numbers_is_learned_like_one_of_arrays():

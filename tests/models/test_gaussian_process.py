@@ -77,20 +77,6 @@ def variances_along(gp: GaussianProcess, x, queries):
 
 
 @each_kernel
-@pytest.mark.parametrize("noise_variance", [1e-4, 1.0])
-def test_one_observation_at_a_time_gives_the_batch_posterior_in_any_order(name, noise_variance):
-    kernel, reference = KERNELS[name]
-    x, y = observations(16)
-    batch = GaussianProcessRegressor(reference, alpha=noise_variance, optimizer=None).fit(x, y)
-    expected_mean, expected_std = batch.predict(QUERIES, return_std=True)
-    for order in (np.arange(16), np.random.default_rng(1).permutation(16)):
-        posterior = condition(prior(noise_variance, kernel=kernel), x[order], y[order])
-        mean, variance = predict(posterior, QUERIES)
-        np.testing.assert_allclose(mean, expected_mean, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(variance, expected_std**2, rtol=0, atol=1e-9)
-
-
-@each_kernel
 @pytest.mark.parametrize("noise_variance", [0.0, 0.01])
 @pytest.mark.parametrize("lengthscale", [0.5, 30.0])  # the second makes almost singular matrices
 def test_the_variance_is_never_negative_and_never_grows(name, noise_variance, lengthscale):

@@ -116,16 +116,6 @@ def test_what_is_not_observed_leaves_no_trace(seed):
         np.testing.assert_allclose(np.asarray(got)[is_observed], np.asarray(wanted)[is_observed], atol=1e-12)
 
 
-def test_a_stage_does_not_know_its_own_observations_nor_later_ones():
-    posterior, points, is_observed, innovations = case(KERNELS["matern 3/2"])
-    one = ahead(posterior, points, is_observed, innovations)
-    other = ahead(posterior, points, is_observed, innovations.at[SIZE:].set(0.0))
-    np.testing.assert_array_equal(one.mean[: 2 * SIZE], other.mean[: 2 * SIZE])
-    assert np.all(np.abs(one.mean - other.mean)[2 * SIZE :] > 1e-6)
-    # Observed values never enter a variance.
-    np.testing.assert_array_equal(one.variance, other.variance)
-
-
 @pytest.mark.parametrize("lengthscale", [0.5, 30.0, 1e6, 1e-6])
 @pytest.mark.parametrize("kernel", [RBF, Matern12, Matern32])
 def test_without_noise_the_same_point_again_and_again_is_finite(kernel, lengthscale):
