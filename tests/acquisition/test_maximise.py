@@ -78,24 +78,6 @@ def test_the_best_candidate_is_found_by_looking_at_each(acquisition):
         assert index == np.argmax(one_by_one)
 
 
-def test_the_whitened_candidates_give_the_update_and_grow_by_a_row():
-    gp, candidates = random_posterior(), random_points()
-
-    @jax.jit
-    def grow(gp, index):
-        whitened = gp.whiten(candidates)
-        x, whitened_x = candidates[index], whitened[:, index]
-        row = gp.next_row(x, whitened_x)
-        return row, gp.next_whitened(x, whitened_x, candidates, whitened)
-
-    row, whitened_row = grow(gp, 17)
-    updated = condition(gp, candidates[17], jnp.asarray(0.3))
-    np.testing.assert_allclose(updated.inverse_cholesky[6], row, atol=1e-13)
-    again = jax.jit(lambda gp: gp.whiten(candidates))(updated)
-    np.testing.assert_allclose(again[6], whitened_row, atol=1e-13)
-    np.testing.assert_allclose(again[:6], jax.jit(lambda gp: gp.whiten(candidates))(gp)[:6], atol=1e-13)
-
-
 @pytest.mark.parametrize(
     "name, kernel",
     [
