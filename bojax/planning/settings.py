@@ -34,6 +34,12 @@ _Objective = Annotated[
 _Family = Field(description="family of trajectories")
 _Discrete = Annotated[Component, Slot("motions", only=DiscreteMotions), _Family]
 _Continuous = Annotated[Component, Slot("motions", only=ContinuousMotions), _Family]
+_Acquisition = Annotated[
+    Component, Slot("acquisition"), Field(description="acquisition that new actions maximise")
+]
+_NumRolloutPaths = Annotated[
+    int, Field(ge=1, description="number of random paths that rollouts draw from, new for each plan")
+]
 
 
 class _TreeSearch(PlannerSettings, frozen=True):
@@ -55,9 +61,7 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=RBF(), description="kernel of a node's Gaussian process, from [-1, 1]^D to rewards"
     )
-    acquisition: Annotated[Component, Slot("acquisition")] = Field(
-        default=UpperConfidenceBound(kappa=100.0), description="acquisition that new actions maximise"
-    )
+    acquisition: _Acquisition = UpperConfidenceBound(kappa=100.0)
     convergence: float = Field(
         default=0.0,
         ge=0,
@@ -155,9 +159,7 @@ class GpsAbt(_TreeSearch, frozen=True):
     min_radius: float = Field(default=0.1, gt=0, description="largest radius of stencils not refined")
     initial_radius: float = Field(default=1.0, gt=0, description="initial radius; the box is [-1, 1]")
     max_levels: int = Field(default=6, ge=1, description="largest number of stencils on a descent")
-    num_rollout_paths: int = Field(
-        default=128, ge=1, description="number of random paths that rollouts draw from, new for each plan"
-    )
+    num_rollout_paths: _NumRolloutPaths = 128
     heuristic: Literal["rollout", "zero"] = Field(
         default="rollout", description="value after a new action: of a random rollout to the horizon, or zero"
     )
@@ -236,9 +238,7 @@ class GaussianProcessProposal(ProposalSettings, frozen=True):
         le=1,
         description="correlation of actions that differ only in a level, as in a look",
     )
-    acquisition: Annotated[Component, Slot("acquisition")] = Field(
-        default=UpperConfidenceBound(kappa=2.0), description="acquisition that new actions maximise"
-    )
+    acquisition: _Acquisition = UpperConfidenceBound(kappa=2.0)
     noise_variance: float = Field(
         default=0.01, ge=0, description="variance of the noise added to means, which have variance 1"
     )
@@ -309,17 +309,20 @@ class Policy(BeliefPlannerSettings, frozen=True):
     policy: _Policy = Field(default="qmdp", description="policy, each made for some of the problems")
 
 
+_ActionWidening = Annotated[Component, Slot("widening"), Field(description="number of actions of a belief")]
+_ObservationWidening = Annotated[
+    Component, Slot("widening"), Field(description="number of observations of an action")
+]
+_Proposal = Annotated[
+    Component, Slot("proposal"), Field(description="new actions of a space that is not a list")
+]
+
+
 class _Widened(PlannerSettings, frozen=True):
     exploration: float = Field(default=110.0, ge=0, description="factor c of the exploration bonus")
-    action_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(), description="number of actions of a belief"
-    )
-    observation_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(coefficient=5.0, exponent=0.01), description="number of observations of an action"
-    )
-    proposal: Annotated[Component, Slot("proposal")] = Field(
-        default=RandomProposal(), description="new actions of a space that is not a list"
-    )
+    action_widening: _ActionWidening = Widening()
+    observation_widening: _ObservationWidening = Widening(coefficient=5.0, exponent=0.01)
+    proposal: _Proposal = RandomProposal()
     recommendation: Literal["value", "visits"] = Field(
         default="value", description="whether the plan has the highest value or most visits"
     )
@@ -353,12 +356,8 @@ class PFTDPW(_BeliefSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.pft:PFT"
     kind: Literal["pft-dpw"] = "pft-dpw"
     exploration: float = Field(default=70.0, ge=0, description="factor c of the exploration bonus")
-    action_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(coefficient=20.0, exponent=1 / 25), description="number of actions of a belief"
-    )
-    observation_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(coefficient=8.0, exponent=1 / 85), description="number of observations of an action"
-    )
+    action_widening: _ActionWidening = Widening(coefficient=20.0, exponent=1 / 25)
+    observation_widening: _ObservationWidening = Widening(coefficient=8.0, exponent=1 / 85)
     num_particles: int = Field(default=20, ge=1, description="particles of a belief of the tree")
     belief_step: _BeliefStep = "observed"
     information: float | None = Field(
@@ -382,12 +381,8 @@ class VOMCPOW(_WeightedAsSimulated, frozen=True):
 
     kind: Literal["vomcpow"] = "vomcpow"
     exploration: float = Field(default=85.0, ge=0, description="factor c of the exploration bonus")
-    observation_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(coefficient=2.5, exponent=0.01), description="number of observations of an action"
-    )
-    proposal: Annotated[Component, Slot("proposal")] = Field(
-        default=VoronoiProposal(), description="new actions of a space that is not a list"
-    )
+    observation_widening: _ObservationWidening = Widening(coefficient=2.5, exponent=0.01)
+    proposal: _Proposal = VoronoiProposal()
 
 
 class PathDPW(_Widened, frozen=True):
@@ -399,16 +394,10 @@ class PathDPW(_Widened, frozen=True):
     exploration: float = Field(
         default=300.0, ge=0, description="factor c of the exploration bonus, in units of the return"
     )
-    action_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(coefficient=20.0, exponent=1 / 25), description="number of actions of a belief"
-    )
-    observation_widening: Annotated[Component, Slot("widening")] = Field(
-        default=Widening(coefficient=8.0, exponent=1 / 85), description="number of observations of an action"
-    )
+    action_widening: _ActionWidening = Widening(coefficient=20.0, exponent=1 / 25)
+    observation_widening: _ObservationWidening = Widening(coefficient=8.0, exponent=1 / 85)
     iterations: int = Field(default=300, ge=1, description="simulations per plan")
     depth: Annotated[int, LEVELS.bound()] = Field(default=3, ge=1, description="actions up to the horizon")
     discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
     objective: _Objective = None
-    num_rollout_paths: int = Field(
-        default=128, ge=1, description="number of random paths that rollouts draw from, new for each plan"
-    )
+    num_rollout_paths: _NumRolloutPaths = 128

@@ -155,6 +155,7 @@ _TargetArea = Annotated[
 ]
 _Task = Annotated[Component, Slot("objective"), Field(description="reward of a sample in the task")]
 _NoiseVariance = Annotated[float, Field(ge=0, description="noise variance of an observation in the belief")]
+_Covariance = Annotated[Component, Slot("kernel"), Field(description="prior covariance, m and m^2")]
 _Spread = Annotated[float, Field(ge=0)]
 _PoseNoise = Annotated[
     Annotated[tuple[_Spread, _Spread], Field(strict=False)] | None,
@@ -510,9 +511,7 @@ class HillyTerrain(_Heights, frozen=True):
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ConstantMean(value=0.4), description="prior mean of the terrain, m"
     )
-    kernel: Annotated[Component, Slot("kernel")] = Field(
-        default=Scaled(kernel=RBF(lengthscale=0.8), variance=0.25), description="prior covariance, m and m^2"
-    )
+    kernel: _Covariance = Scaled(kernel=RBF(lengthscale=0.8), variance=0.25)
     noise_variance: _NoiseVariance = 0.005
 
 
@@ -534,10 +533,7 @@ class IndoorProps(_Heights, frozen=True):
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ConstantMean(value=0.05), description="prior mean of the heights, m"
     )
-    kernel: Annotated[Component, Slot("kernel")] = Field(
-        default=Scaled(kernel=Matern32(lengthscale=0.25), variance=0.0073),
-        description="prior covariance, m and m^2",
-    )
+    kernel: _Covariance = Scaled(kernel=Matern32(lengthscale=0.25), variance=0.0073)
     map_kernel: Annotated[
         Component | None,
         Slot("kernel", optional=True),
