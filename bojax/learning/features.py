@@ -164,7 +164,24 @@ class FourierFeatures(StateActionFeatures):
         return len(self.phases) // (1 + self.has_sines)
 
 
-class OneHotFeatures(StateActionFeatures):
+class ProductFeatures(StateActionFeatures):
+    """Features whose phi is the outer product of x and y."""
+
+    @override
+    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
+        return (x[:, None] * y[None, :]).ravel()
+
+    @override
+    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
+        return matmul(weights.reshape(-1, len(y)), y)
+
+    @override
+    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
+        by_pair = matrix.reshape(2 * (len(matrix) // ys.shape[1], ys.shape[1]))
+        return jnp.einsum("prqs,rs->pq", by_pair, matmul(ys.T, ys) / len(ys), precision=HIGHEST)
+
+
+class OneHotFeatures(ProductFeatures):
     """One-hot features of a discrete state and a discrete action: one feature for each pair."""
 
     observations: Discrete  # space of states
@@ -183,19 +200,6 @@ class OneHotFeatures(StateActionFeatures):
     @override
     def action(self, action: Action) -> Float[Array, "R"]:
         return jax.nn.one_hot(action, self._num_actions, dtype=self.one.dtype)
-
-    @override
-    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
-        return (x[:, None] * y[None, :]).ravel()
-
-    @override
-    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
-        return matmul(weights.reshape(self.observations.num, self._num_actions), y)
-
-    @override
-    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
-        by_pair = matrix.reshape(2 * (self.observations.num, self._num_actions))
-        return jnp.einsum("prqs,rs->pq", by_pair, matmul(ys.T, ys) / len(ys), precision=HIGHEST)
 
     @property
     def _num_actions(self) -> int:

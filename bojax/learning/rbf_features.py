@@ -9,12 +9,11 @@ from typing_extensions import override
 from bojax.config.limits import FEATURES
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
-from bojax.learning.features import FeatureSpec, StateActionFeatures
-from bojax.numerics.linalg import HIGHEST, matmul
+from bojax.learning.features import FeatureSpec, ProductFeatures
 from bojax.numerics.quasirandom import scrambled_halton
 
 
-class RBFFeatures(StateActionFeatures):
+class RBFFeatures(ProductFeatures):
     """Products of normalised radial basis functions of the state and of the action.
 
     x_i(s) = g_i(s) / |g(s)| with g_i(s) = exp(-|s - c_i|^2 / (2 w^2)), and y(a) likewise. Bounds are mapped
@@ -44,19 +43,6 @@ class RBFFeatures(StateActionFeatures):
         if isinstance(self.actions, Discrete):
             return jax.nn.one_hot(action, self.actions.num, dtype=self.action_centres.dtype)
         return _normalised(self.actions.to_unit(action), self.action_centres, self.action_width)
-
-    @override
-    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
-        return (x[:, None] * y[None, :]).ravel()
-
-    @override
-    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
-        return matmul(weights.reshape(len(self.state_centres), len(y)), y)
-
-    @override
-    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
-        by_pair = matrix.reshape(2 * (len(self.state_centres), ys.shape[1]))
-        return jnp.einsum("prqs,rs->pq", by_pair, matmul(ys.T, ys) / len(ys), precision=HIGHEST)
 
 
 class NormalisedRBFSpec(FeatureSpec):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions, Path
-from bojax.planning.search import Proposal, TreeSearch
+from bojax.planning.search import PlanDraws, Proposal, TreeSearch
 from bojax.planning.tree import UNVISITED, Tree, best_by_uct, write_row
 from bojax.problems.base import Objective
 
@@ -21,14 +21,7 @@ class DiscreteMemory(eqx.Module):
     action: Int[Array, "N"]  # action that leads to each node
 
 
-class DiscreteDraws(eqx.Module):
-    """Random numbers of a plan, by iteration."""
-
-    rollout: Int[Array, "... H"]  # actions of the rollout
-    order: Float[Array, "... A"]  # priorities in which untried actions are chosen
-
-
-class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""], None, DiscreteMotions]):
+class DiscreteTreeSearch(TreeSearch[DiscreteMemory, PlanDraws, Int[Array, ""], None, DiscreteMotions]):
     """A node tries its untried actions first, in random order, then follows the upper confidence bound.
 
     Sets of actions of all sizes share a program: nodes have room for the largest.
@@ -46,12 +39,12 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         return self.motions.num_actions
 
     @override
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, DiscreteDraws]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, PlanDraws]:
         key_rollout, key_order = jax.random.split(key)
         shape, count = (self.iterations, self.depth - 1), self.motions.count
         # `randint` with a bound that is not constant takes seconds to compile.
         rollout = jax.random.uniform(key_rollout, shape, dtype) * count.astype(dtype)
-        draws = DiscreteDraws(
+        draws = PlanDraws(
             rollout=jnp.minimum(rollout.astype(jnp.int32), count - 1),
             order=jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
         )
@@ -61,7 +54,7 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         return memory, draws
 
     @override
-    def rollout(self, memory: DiscreteMemory, draws: DiscreteDraws) -> Float[Array, "H S 3"]:
+    def rollout(self, memory: DiscreteMemory, draws: PlanDraws) -> Float[Array, "H S 3"]:
         return memory.paths[draws.rollout]
 
     @override
@@ -81,7 +74,7 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         memory: DiscreteMemory,
         node: Int[Array, ""],
         view: Int[Array, ""],
-        draws: DiscreteDraws,
+        draws: PlanDraws,
     ) -> Proposal[None]:
         # Lines 16-17 of Algorithm 2: any untried action, chosen by random priorities in [0, 1). Places past
         # the size of the set only make sets of all sizes one program.

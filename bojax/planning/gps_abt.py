@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.loops import short_loop
-from bojax.planning.search import Proposal, TreeSearch
+from bojax.planning.search import PlanDraws, Proposal, TreeSearch
 from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound, write_row
 from bojax.problems.base import Objective
 
@@ -78,13 +78,6 @@ class _Descent(eqx.Module):
         )
 
 
-class StencilDraws(eqx.Module):
-    """Random numbers of a plan, by iteration."""
-
-    rollout: Int[Array, "... H"]  # indices of the paths that the rollout follows
-    order: Float[Array, "... P"]  # priorities in which the unvisited points of a stencil are chosen
-
-
 class StencilUpdate(eqx.Module):
     """Change of the stencils by a new action."""
 
@@ -99,7 +92,7 @@ class StencilUpdate(eqx.Module):
     member: Int[Array, "P"]  # members of the finer stencil that have been simulated before
 
 
-class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, ContinuousMotions]):
+class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, ContinuousMotions]):
     """The pattern search of the public ABT toolkit, on the belief tree that all planners here share.
 
     At a node, unvisited points of a stencil are tried first, in random order. Otherwise the search descends
@@ -134,7 +127,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         return self.max_levels * (2 * self.motions.num_params + 1)
 
     @override
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, StencilDraws]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, PlanDraws]:
         key_paths, key_rollout, key_order = jax.random.split(key, 3)
         num_nodes, num_params = self.iterations + 1, self.motions.num_params
         num_points = 2 * num_params + 1
@@ -148,14 +141,14 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             finer=unvisited,
         )
         shape = (self.iterations, self.depth - 1)
-        draws = StencilDraws(
+        draws = PlanDraws(
             rollout=jax.random.randint(key_rollout, shape, 0, self.num_rollout_paths),
             order=jax.random.uniform(key_order, (self.iterations, num_points), dtype),
         )
         return memory, draws
 
     @override
-    def rollout(self, memory: Stencils, draws: StencilDraws) -> Float[Array, "H S 3"]:
+    def rollout(self, memory: Stencils, draws: PlanDraws) -> Float[Array, "H S 3"]:
         if self.heuristic == "zero":
             return memory.paths[:0]
         return memory.paths[draws.rollout]
@@ -170,7 +163,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
 
     @override
     def propose(
-        self, tree: Tree, memory: Stencils, node: Int[Array, ""], view: Walk, draws: StencilDraws
+        self, tree: Tree, memory: Stencils, node: Int[Array, ""], view: Walk, draws: PlanDraws
     ) -> Proposal[StencilUpdate]:
         # Either a point of the last stencil, or one of the finer stencil around its best point. Both are
         # computed and one is selected, since lanes differ.

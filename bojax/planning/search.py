@@ -37,6 +37,13 @@ class Proposal(eqx.Module, Generic[Update]):
     update: Update  # change of the memory once the action has been simulated
 
 
+class PlanDraws(eqx.Module):
+    """Random numbers of a plan whose nodes try their new actions in random order, by iteration."""
+
+    rollout: Int[Array, "... H"]  # indices of the paths that the rollout follows
+    order: Float[Array, "... A"]  # priorities in which untried actions are chosen
+
+
 class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
     """The tree search that all tree planners share; a planner defines how a node chooses its actions.
 
