@@ -79,10 +79,10 @@ class VdpTag(ReadingProblem):
     def drift(self, target: Float[Array, "2"]) -> Float[Array, "2"]:
         """The target's next position without noise: x' = mu (x - x^3 / 3 - y), y' = x / mu, by RK4."""
 
-        # The coordinates are scalars within a substep: a vector at each of its stages would be a kernel of its
-        # own on a GPU. A vector after each substep lets a CPU compute many lanes at once.
-        def velocity(x: Float[Array, ""], y: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-            return self.damping * (x - x**3 / 3.0 - y), x / self.damping
+        # Within a substep, coordinates are scalars: a vector at each stage would be a kernel of its own on a
+        # GPU. A vector after each substep lets a CPU compute many lanes at once.
+        def velocity(x: Float[Array, ""], y: Float[Array, ""]) -> list[Float[Array, ""]]:
+            return [self.damping * (x - x**3 / 3.0 - y), x / self.damping]
 
         step = self.time_step
         for _ in range(self.num_substeps):
