@@ -34,10 +34,10 @@ def test_hyper_parameters_of_a_sampled_field_are_recovered(tmp_path, monkeypatch
     assert given.lengthscale == 80.0
 
 
-def notes_of(monkeypatch, file, lengthscale=None):
+def notes_of(monkeypatch, file, area="200x100", lengthscale=None):
     monkeypatch.setattr(model, "relearn", lambda gp, key, **_: (gp.with_constant_mean(), None))
     with jax.enable_x64(True):
-        return learned_model(file, read_place("200x100"), lengthscale).notes
+        return learned_model(file, read_place(area), lengthscale).notes
 
 
 def test_what_is_doubtful_in_an_earlier_survey_is_noted(tmp_path, monkeypatch):
