@@ -89,7 +89,9 @@ class VoronoiProposal(Proposal):
         shape = self.max_candidates, actions.shape[1]
         offsets = jax.random.normal(key_candidates, shape, actions.dtype) * jnp.sqrt(self.variance)[None]
         candidates = jnp.clip(actions[best][None] + offsets, -1.0, 1.0)
-        squares = jnp.sum((candidates[:, None] - actions[None]) ** 2, axis=-1)
+        # Parameter by parameter: on a CPU, a sum over such a short axis does not vectorise.
+        parameters = zip(candidates.T, actions.T, strict=True)
+        squares = jnp.asarray(sum((one[:, None] - other[None]) ** 2 for one, other in parameters))
         of_best = squares[:, best]
         is_in_cell = of_best <= jnp.min(jnp.where(exists[None], squares, jnp.inf), axis=1)
         is_accepted = is_in_cell | (of_best < self.radius**2)
