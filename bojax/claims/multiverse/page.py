@@ -109,15 +109,16 @@ def _source(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
 
 def _decisive(multiverse: Multiverse, claim: ClaimOutcomes) -> str:
     """The choice with the largest effect on a claim, in words; empty if none has one."""
-    told, most = "", 0.0
+    words, most = "", 0.0
     for name, intervals in effects(multiverse, claim).items():
         shares = zip(intervals, multiverse.declaration["choices"][name]["values"], strict=True)
         known = [(each.estimate, value) for each, value in shares if math.isfinite(each.estimate)]
-        high, low = (end(known, key=itemgetter(0), default=(0.0, "")) for end in (max, min))
+        high = max(known, key=itemgetter(0), default=(0.0, ""))
+        low = min(known, key=itemgetter(0), default=(0.0, ""))
         if high[0] - low[0] > most:
             most = high[0] - low[0]
-            told = f"{name}: {high[0]:.0%} with {high[1]}, {low[0]:.0%} with {low[1]}"
-    return told
+            words = f"{name}: {high[0]:.0%} with {high[1]}, {low[0]:.0%} with {low[1]}"
+    return words
 
 
 def _choices(multiverse: Multiverse) -> list[dict[str, Any]]:
