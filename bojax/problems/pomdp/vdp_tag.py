@@ -81,8 +81,8 @@ class VdpTag(ReadingProblem):
 
         # Within a substep, coordinates are scalars: a vector at each stage would be a kernel of its own on a
         # GPU. A vector after each substep lets a CPU compute many lanes at once.
-        def velocity(x: Float[Array, ""], y: Float[Array, ""]) -> list[Float[Array, ""]]:
-            return [self.damping * (x - x**3 / 3.0 - y), x / self.damping]
+        def velocity(x: Float[Array, ""], y: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+            return self.damping * (x - x**3 / 3.0 - y), x / self.damping
 
         step = self.time_step
         for _ in range(self.num_substeps):
