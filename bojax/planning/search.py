@@ -38,7 +38,7 @@ class Proposal(eqx.Module, Generic[Update]):
 
 
 class PlanDraws(eqx.Module):
-    """Random numbers of a plan whose nodes try their new actions in random order, by iteration."""
+    """Random numbers of all iterations of a search whose nodes try new actions in random order."""
 
     rollout: Int[Array, "... H"]  # indices of the paths that the rollout follows
     order: Float[Array, "... A"]  # priorities in which untried actions are chosen
