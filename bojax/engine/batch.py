@@ -21,7 +21,7 @@ from bojax.engine import executables, program_cache
 from bojax.engine.autotuning import Choices, compile_again, contents_of
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup, nodes_with
-from bojax.engine.program_cache import FOUND, WRITTEN, Loaded, Program, Traced
+from bojax.engine.program_cache import FOUND, GAINS, WRITTEN, Loaded, Program, Traced
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
 from bojax.engine.xla_choices import offer_shipped
 from bojax.experiments.base import Carry, Experiment, Records
@@ -179,10 +179,8 @@ class Programs:
         inputs = carry, lanes, self._shared
         programs = {}
         if self._is_compiled:
-            gains = bool(nodes_with(self._group.static, "gains_from_passes"))
-            programs["advance"] = Program.of_trees(
-                functions.advance, *inputs, donated=0, gains_from_passes=gains
-            )
+            gains = [name for name in GAINS if nodes_with(self._group.static, name)]
+            programs["advance"] = Program.of_trees(functions.advance, *inputs, donated=0, gains=gains)
         programs["summary"] = Program.of_trees(functions.summary, *inputs)
         if self._num_recorded and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
             programs["snapshot"] = Program.of_trees(functions.snapshot, *inputs)

@@ -153,8 +153,7 @@ class Program:
     donated: tuple[int, ...]  # positions of the leaves whose buffers the program may overwrite
     # The traced program, which can be saved; None if it is traced when it is compiled
     exported: Exported | None = None
-    # Whether a CPU gets XLA's full optimisation in place of a quicker compilation
-    gains_from_passes: bool = False
+    gains: Collection[str] = ()  # which of `GAINS` make it faster
 
     @classmethod
     def of_trees(
@@ -162,7 +161,7 @@ class Program:
         function: Callable[..., PyTree],
         *inputs: PyTree,
         donated: int | None = None,
-        gains_from_passes: bool = False,
+        gains: Collection[str] = (),
     ):
         """The program that applies a function of trees to leaves.
 
@@ -170,7 +169,7 @@ class Program:
             function: The function. Its result consists of dictionaries, lists and tuples of arrays.
             inputs: Its inputs, as arrays or as their shapes and dtypes.
             donated: Index of the input whose buffers the program may overwrite; None for none.
-            gains_from_passes: As the attribute.
+            gains: As the attribute.
         """
         leaves, structure = jax.tree.flatten(inputs)
 
@@ -180,13 +179,13 @@ class Program:
         first = 0 if donated is None else len(jax.tree.leaves(inputs[:donated]))
         count = 0 if donated is None else len(jax.tree.leaves(inputs[donated]))
         at = tuple(range(first, first + count))
-        return cls(of_leaves, [_abstract(leaf) for leaf in leaves], at, None, gains_from_passes)
+        return cls(of_leaves, [_abstract(leaf) for leaf in leaves], at, None, tuple(gains))
 
     @classmethod
-    def of_export(cls, exported: Exported, donated: Sequence[int], gains_from_passes: bool):
+    def of_export(cls, exported: Exported, donated: Sequence[int], gains: Collection[str]):
         """The program that was exported."""
         inputs = [_abstract(aval) for aval in exported.in_avals]
-        return cls(exported.call, inputs, tuple(donated), exported, gains_from_passes)
+        return cls(exported.call, inputs, tuple(donated), exported, tuple(gains))
 
     @classmethod
     def deserialized(cls, content: bytes):
@@ -197,7 +196,7 @@ class Program:
     def serialized(self) -> bytes:
         """The exported program as bytes."""
         assert self.exported is not None
-        header = json.dumps([self.donated, self.gains_from_passes])
+        header = json.dumps([self.donated, self.gains])
         return header.encode() + b"\n" + self.exported.serialize()
 
     def export(self, device: Device) -> "Program":
@@ -206,7 +205,7 @@ class Program:
         make = jax.export.export(
             jax.jit(self.function), platforms=[_platform_of(device)], disabled_checks=checks
         )
-        return Program.of_export(make(*self.inputs), self.donated, self.gains_from_passes)
+        return Program.of_export(make(*self.inputs), self.donated, self.gains)
 
     def compile(self, name: str, device: Device, **options: Any) -> Compiled:
         """Compile the program under a name for a device, or load it from JAX's cache.
@@ -218,7 +217,7 @@ class Program:
         """
         if device.platform == "cpu":
             initialize_lapack()
-            options = _cpu_options(self.gains_from_passes) | options
+        options = _options(device, self.gains) | options
 
         def call(*leaves):
             return self.function(*leaves)
@@ -230,14 +229,28 @@ class Program:
         return jitted.lower(*inputs).compile(options or None)
 
 
+GAINS = GAINS_FROM_PASSES, GAINS_FROM_GRAPHS = "gains_from_passes", "gains_from_graphs"
+"""Attributes of the parts of an experiment whose programs need other options than most.
+
+With the first, a CPU gets XLA's full optimisation in place of a quicker compilation. With the second, a GPU
+runs whole loops as CUDA graphs.
+"""
+
 _QUICK, _FULL = 1, 3
 """Levels of XLA's optimisation: with the first, a sixth less to compile, and most programs are not slower."""
 
+_COMMANDS = "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION,WHILE,CONDITIONAL"
+"""What may be recorded in a CUDA graph: XLA's default, and loops and conditions."""
 
-def _cpu_options(gains_from_passes: bool) -> dict[str, Any]:
-    """Options of XLA's compiler for a CPU, without those that the user has set."""
-    level = _FULL if gains_from_passes else _QUICK
-    options = {"xla_backend_optimization_level": level, "xla_llvm_disable_expensive_passes": True}
+
+def _options(device: Device, gains: Collection[str]) -> dict[str, Any]:
+    """Options of XLA's compiler for a program on a device, without those that the user has set."""
+    options = {}
+    if device.platform == "cpu":
+        level = _FULL if GAINS_FROM_PASSES in gains else _QUICK
+        options = {"xla_backend_optimization_level": level, "xla_llvm_disable_expensive_passes": True}
+    elif _platform_of(device) == "cuda" and GAINS_FROM_GRAPHS in gains:
+        options = {"xla_gpu_enable_command_buffer": _COMMANDS}
     flags = os.environ.get("XLA_FLAGS", "")
     return {name: value for name, value in options.items() if name not in flags}
 

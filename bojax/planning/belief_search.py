@@ -6,7 +6,7 @@ Sunberg and Kochenderfer, Online algorithms for POMDPs with continuous state, ac
 
 import abc
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -69,6 +69,9 @@ class BeliefTreeSearch(eqx.Module):
     iteration and the level. Loops have as many turns as the deepest lane of a batch needs: batch with
     `vmap(axis_name=LANES)`.
     """
+
+    gains_from_graphs: ClassVar[bool] = True
+    """Makes the engine run the loops of a search as CUDA graphs on a GPU, where launches are its limit."""
 
     exploration: Float[Array, ""]  # the factor c
     # Rule by which actions are added; of a discrete space all actions exist at once

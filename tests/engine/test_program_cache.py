@@ -23,7 +23,7 @@ from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.chunks import SHORTEST_ON_CPU
 from bojax.engine.groups import static_groups
-from bojax.engine.program_cache import EXECUTABLES
+from bojax.engine.program_cache import EXECUTABLES, GAINS_FROM_GRAPHS, GAINS_FROM_PASSES
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
 from tests.engine.drive import run_sweep
@@ -426,8 +426,7 @@ def test_several_devices_trace_a_program_once(cache, monkeypatch, tmp_path):
 def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_of_the_user(monkeypatch):
     given, of_trees = [], program_cache.Program.of_trees
     quick, gains = (
-        of_trees(lambda x: x + 1, np.zeros(2), gains_from_passes=gains_from_passes)
-        for gains_from_passes in (False, True)
+        of_trees(lambda x: x + 1, np.zeros(2), gains=gains) for gains in ([], [GAINS_FROM_PASSES])
     )
     made, saved = quick.compile("two", DEVICE), gains.export(DEVICE).serialized()
     monkeypatch.setattr(jax.stages.Lowered, "compile", lambda _, options: given.append(options) or made)
@@ -440,10 +439,18 @@ def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_
     assert given == [*({"xla_backend_optimization_level": level} for level in (1, 3, 3)), {}]
 
 
-@pytest.mark.parametrize("proposal, gains", [("gp", True), ("random", False)])
-def test_advances_with_a_proposal_by_a_gaussian_process_gain_from_xlas_passes(monkeypatch, proposal, gains):
-    overrides = ["planner=pft-dpw", f"planner.proposal={proposal}", "problem.num_particles=8"]
-    (point,) = load_config("vdp-tag", overrides, None, None).points
+@pytest.mark.parametrize(
+    "config, overrides, gains",
+    [
+        ("vdp-tag", ["planner=pft-dpw", "planner.proposal=gp"], {GAINS_FROM_PASSES, GAINS_FROM_GRAPHS}),
+        ("vdp-tag", ["planner=pft-dpw", "planner.proposal=random"], {GAINS_FROM_GRAPHS}),
+        ("chain", [], set()),
+    ],
+)
+def test_the_engine_knows_what_makes_the_advances_of_a_search_on_beliefs_faster(
+    monkeypatch, config, overrides, gains
+):
+    (point,) = load_config(config, overrides, None, None).points
     (group,) = static_groups([build(point.config, "float64")])
     monkeypatch.setattr(batch, "obtain", lambda key, device, trace, *_, **__: traced(trace()[0]))
 
@@ -453,8 +460,8 @@ def test_advances_with_a_proposal_by_a_gaussian_process_gain_from_xlas_passes(mo
     with pytest.raises(StopIteration) as stopped:
         programs_of(group)
     programs = stopped.value.value
-    assert {name for name, each in programs.items() if each.gains_from_passes} == (
-        {"advance"} if gains else set()
+    assert {name: set(each.gains) for name, each in programs.items() if each.gains} == (
+        {"advance": gains} if gains else {}
     )
 
 
