@@ -1,5 +1,7 @@
 """Proposals by a Gaussian process: statistics, posterior and choice against plain NumPy."""
 
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,8 +13,9 @@ from bojax.acquisition.functions import ExpectedImprovement, UpperConfidenceBoun
 from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.models.kernels import RBF
+from bojax.numerics.lanes import LANES
 from bojax.planning.gp_proposal import GaussianProcessProposal
-from bojax.planning.proposals import RandomProposal
+from bojax.planning.proposals import RandomProposal, VoronoiProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Mixed
 from tests.planning.belief_searches import (
@@ -147,3 +150,25 @@ def test_it_finds_the_best_of_many_actions_sooner_than_random_ones():
         return np.abs(np.asarray(eqx.filter_jit(plan)(jax.random.split(jax.random.key(4), 24))) - 0.6).mean()
 
     assert error(proposal("reward")) < error(RandomProposal())
+
+
+@pytest.mark.parametrize(
+    "rule", [proposal(), VoronoiProposal(number(0.1), number([0.3]), number(0.0), 4)], ids=["gp", "voronoi"]
+)
+def test_no_iteration_copies_arrays_of_all_nodes(rule):
+    """With copies, the time of a search grows with the square of its iterations."""
+    problem, num_nodes = drift(), 312  # no other array has this length
+    one = planner("pomcpow", num_nodes - 1, proposal=rule)
+    searches = jax.jit(
+        jax.vmap(lambda key, belief: one.search(key, problem, belief), (0, None), axis_name=LANES)
+    )
+    keys = jax.random.split(jax.random.key(0), 2)
+    program = searches.lower(keys, belief_of(problem)).compile().as_text()
+    bodies = set(re.findall(r"body=%?([\w.-]+)", program))
+    copied, name = [], ""
+    for line in program.splitlines():
+        if opened := re.match(r"(?:ENTRY )?%?([\w.-]+) \(.*\{$", line):
+            name = opened[1]
+        elif name in bodies and (copy := re.search(r" = (\S+) copy\(", line)) and f",{num_nodes}," in copy[1]:
+            copied.append(copy[1])
+    assert bodies and not copied
