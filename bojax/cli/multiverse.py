@@ -13,7 +13,7 @@ from bojax.results.folder import dated_folder, require_empty
 
 if TYPE_CHECKING:
     from bojax.claims.multiverse.declaration import Declaration
-    from bojax.claims.multiverse.outcomes import Multiverse
+    from bojax.claims.multiverse.outcomes import Entry, Multiverse
 
 PAGE = "report.html"
 
@@ -39,6 +39,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     size = declaration.file.block
     from bojax.engine.program_cache import held
 
+    exit_code = 0
     with held():
         for start in range(0, len(asked), size):
             numbers = asked[start : start + size]
@@ -47,12 +48,16 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
             code, folders = _run(declaration, numbers, None, None, folder, args, command)
             if folders is None:
                 return code
-            multiverse = extended(multiverse, declaration, evaluated(declaration, folders, numbers))
+            exit_code |= code
+            entries = evaluated(declaration, folders, numbers)
+            _warn_of_untested(entries)
+            multiverse = extended(multiverse, declaration, entries)
             write(out, multiverse)
         if args.configurations != 0 and multiverse.best is not None and multiverse.confirmed is None:
             code, multiverse = _confirm(declaration, multiverse, out / "confirm", args, command)
             if code not in (0, 1):
                 return code
+            exit_code |= code
             write(out, multiverse)
     write(out, multiverse)  # also with a new title and reading
     from bojax.claims.multiverse.page import summary_of, write_page
@@ -63,7 +68,18 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
         say(f"{missing} of {len(multiverse.configurations)} configurations are left: --resume --out {out}")
     print(out / FILE)
     print(write_page(multiverse, out / PAGE))
-    return 0
+    return exit_code
+
+
+def _warn_of_untested(entries: "Mapping[int, Sequence[Entry]]") -> None:
+    """Say which claims could not be tested in some of these configurations, and why in the first of them."""
+    reasons: dict[str, list[str]] = {}
+    for configuration in entries.values():
+        for claim, _, entry in configuration:
+            if reason := entry["test"].get("reason"):
+                reasons.setdefault(claim.id, []).append(reason)
+    for name, found in reasons.items():
+        say(f"warning: {name} is not tested in {len(found)} of {len(entries)} configurations: {found[0]}")
 
 
 def _run(

@@ -208,9 +208,9 @@ class BeliefTreeSearch(eqx.Module):
         future = self.value_of(key_leaf, problem, leaf, remaining)
         gain = expansion.reward + jnp.where(is_over, 0.0, problem.discount * future)
 
-        # XLA copies all beliefs, or the children of all nodes, in every iteration if old ones are read by what
-        # need not precede the write of the new one. So the writes wait for the return, by a condition that is
-        # never true. (Reading from the grown tree instead is slower in a batch.)
+        # XLA copies all beliefs, or the children of all nodes, in every iteration if old ones are read by
+        # what need not precede the write of the new one. So the writes wait for the return, by a condition
+        # that is never true. (Reading from the grown tree instead is slower in a batch.)
         waits = (i < 0) & (gain > 0.0)
         num_nodes, num_actions = tree.children.shape
         growth = Growth(

@@ -11,6 +11,7 @@ from bojax.claims.multiverse import designs, outcomes
 from bojax.claims.multiverse.declaration import declared, names
 from bojax.claims.multiverse.outcomes import ClaimOutcomes, Confirmed, Multiverse
 from bojax.claims.multiverse.page import write_page
+from bojax.cli import multiverse
 from bojax.cli.main import main
 from bojax.config.errors import ConfigError
 from bojax.report import statistics
@@ -247,7 +248,7 @@ def test_variants_in_a_file_of_an_earlier_version_end_where_it_goes_on(paper):
 
 def test_strength_and_the_effect_of_each_choice():
     claims = [claim("a", "rrrr"), claim("b", "nnnr"), claim("c", "nnnn"), claim("d", "iiix")]
-    assert [each.strength for each in claims] == ["robust", "fragile", "contrary", "fragile"]
+    assert [each.strength for each in claims] == ["robust", "fragile", "contrary", "undecided"]
     found = outcomes.effects(universe(*claims), claims[1])
     assert [each.estimate for each in found["rate"]] == [0.0, 0.5]
     assert claims[1].share().estimate == 0.25 and claims[1].share().low > 0
@@ -268,13 +269,19 @@ def test_choices_concern_the_claims_whose_points_they_change():
 
 
 def test_the_page_of_every_kind(tmp_path):
-    claims = [claim("a", "rrrn"), claim("b", "nnix", entry_class="check"), claim("c", "xxxx")]
+    claims = [
+        claim("a", "rrrn"),
+        claim("b", "nnix", entry_class="check"),
+        claim("c", "xxxx"),
+        claim("d", "rnni"),
+    ]
     confirmed = Confirmed(runs=20, seed=1, own={"a": "n"}, best={"a": "r"})
     told = {"title": "A <title>", "reading": "Plausible."}
     made = universe(*claims).model_copy(update={"best": 1, "confirmed": confirmed, **told})
     for suffix in ("html", "md"):
         text = write_page(made, tmp_path / f"page.{suffix}").read_text()
-        assert "1 of 2" in text and "Plausible." in text and "rate" in text
+        assert "Plausible." in text and "rate" in text
+        assert "other configurations (2)" in text and "1 undecided" in text and "100%" in text
     assert (tmp_path / "figures" / "own-together.svg").is_file()
 
 
@@ -312,6 +319,17 @@ def test_an_analysis_in_pieces_ends_in_the_bytes_of_one_in_a_piece(paper, tmp_pa
     printed = capsys.readouterr().err
     assert "configurations are left" in printed
     assert "in 4 configurations of 2 choices: " in printed and " robust" in printed
+
+
+def test_claims_that_cannot_be_tested_and_runs_that_fail_are_told(paper, tmp_path, capsys, monkeypatch):
+    own = paper.with_name("own.yaml")
+    own.write_text(own.read_text().replace("label: usual, column: success", "label: usual, column: odd"))
+    ran = multiverse._run
+    monkeypatch.setattr(multiverse, "_run", lambda *given: (1, ran(*given)[1]))  # as after a failed chunk
+    assert run(paper, tmp_path / "out", "--configurations", "1") == 1
+    reason = "own/finds is not tested in 1 of 1 configurations: the results have no column odd"
+    printed = capsys.readouterr().err
+    assert reason in printed and "undecided" in printed
 
 
 def test_results_of_another_declaration_are_refused(paper, tmp_path, capsys):

@@ -61,13 +61,17 @@ class ClaimOutcomes(Recorded):
         """How far the claim depends on the choices.
 
         `robust`: it holds in more than three quarters of the configurations. `contrary`: it holds in less
-        than a quarter, and the opposite is shown in more than half. `fragile`: everything else.
+        than a quarter, and the opposite is shown in more than half. `undecided`: in more than half, it is
+        inconclusive or not tested. `fragile`: everything else.
         """
-        total = max(1, len(self.verdicts))
-        holds, fails = self.count(CODES["reproduced"]) / total, self.count(CODES["not reproduced"]) / total
+        holds, fails, undecided = (
+            sum(map(self.count, codes)) / max(1, len(self.verdicts)) for codes in ("r", "n", "i" + FAILED)
+        )
         if holds > 0.75:
             return "robust"
-        return "contrary" if holds < 0.25 and fails > 0.5 else "fragile"
+        if holds < 0.25 and fails > 0.5:
+            return "contrary"
+        return "undecided" if undecided > 0.5 else "fragile"
 
 
 class Confirmed(Recorded):
@@ -200,9 +204,13 @@ def write(folder: Path, multiverse: Multiverse) -> None:
     write_json(folder / FILE, multiverse.model_dump(mode="json"), indent=None)
 
 
+Entry = tuple[Claim, str, dict[str, Any]]
+"""A claim, its sweep, and its entry of `claims.json`."""
+
+
 def evaluated(
     declaration: Declaration, folders: Mapping[str, Path], numbers: Sequence[int]
-) -> dict[int, list[tuple[Claim, str, dict[str, Any]]]]:
+) -> dict[int, list[Entry]]:
     """The claims of these configurations, each with its sweep and its entry of `claims.json`.
 
     Args:
@@ -210,7 +218,7 @@ def evaluated(
         folders: Results of each sweep, whose points have these configurations.
         numbers: The configurations.
     """
-    found: dict[int, list[tuple[Claim, str, dict[str, Any]]]] = {number: [] for number in numbers}
+    found: dict[int, list[Entry]] = {number: [] for number in numbers}
     for source in declaration.file.sweeps:
         results = load(folders[source])
         claims = [claim for claim in results.claims if isinstance(claim, Claim)]
@@ -239,7 +247,7 @@ def configuration_of(results: Results, number: int) -> Results:
 def extended(
     multiverse: Multiverse,
     declaration: Declaration,
-    found: Mapping[int, Iterable[tuple[Claim, str, dict[str, Any]]]],
+    found: Mapping[int, Iterable[Entry]],
 ) -> Multiverse:
     """The outcomes with those of further configurations."""
     # Files of earlier versions have variants and checks, which further configurations do not test.

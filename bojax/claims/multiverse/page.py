@@ -70,10 +70,12 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
 
 
 def summary_of(multiverse: Multiverse) -> str:
-    """How many claims are robust, fragile and contrary, as a sentence."""
+    """How many claims there are of each strength, as a sentence."""
     claims, total = multiverse.counted, len(multiverse.configurations)
     strengths = [claim.strength for claim in claims]
-    kinds = joined(f"{strengths.count(kind)} {kind}" for kind in ("robust", "fragile", "contrary"))
+    kinds = joined(
+        f"{strengths.count(kind)} {kind}" for kind in ("robust", "fragile", "contrary", "undecided")
+    )
     done = f"{len(multiverse.done)} of {total}" if len(multiverse.done) < total else f"{total}"
     choices = counted(len(multiverse.declaration["choices"]), "choice")
     return f"{counted(len(claims), 'claim')} in {done} configurations of {choices}: {kinds}."
@@ -92,8 +94,8 @@ def _row(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, Any]:
         "own": "" if own is None else _WORDS[claim.verdicts[own]],
         "share": f"{share} {bounds}",
         "fails": f"{claim.count('n') / total:.0%}",
-        "unknown": f"{(claim.count('i') + claim.count(FAILED)) / total:.0%}",
-        "failed": claim.count(FAILED),
+        "undecided": f"{claim.count('i') / total:.0%}",
+        "untested": f"{claim.count(FAILED) / total:.0%}",
         "strength": claim.strength,
         "fresh_own": _WORDS[confirmed.own.get(claim.id, FAILED)] if confirmed else "",
         "fresh_best": _WORDS[confirmed.best.get(claim.id, FAILED)] if confirmed else "",
@@ -159,4 +161,17 @@ def _best(multiverse: Multiverse) -> dict[str, Any] | None:
         "runs": confirmed.runs if confirmed else None,
         "seed": confirmed.seed if confirmed else None,
         "differing": differing,
+        **_tied(multiverse, place),
     }
+
+
+def _tied(multiverse: Multiverse, place: int) -> dict[str, Any]:
+    """Other configurations with as many claims as the best, and claims that hold in some of them alone."""
+    holding = multiverse.holding()
+    places = [other for other, count in enumerate(holding) if count == holding[place]]
+    some = []
+    for claim in multiverse.counted:
+        count = sum(claim.verdicts[each] == CODES["reproduced"] for each in places)
+        if 0 < count < len(places):
+            some.append((claim.claim, _source(multiverse, claim), f"{count} of {len(places)}"))
+    return {"tied": [multiverse.done[each] for each in places if each != place], "some": some}
