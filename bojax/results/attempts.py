@@ -242,14 +242,12 @@ def process_identity(pid: int) -> list[str] | None:
 
 def _is_other(attempt: Attempt, here: list[str] | None) -> bool:
     """Whether the owner of an attempt is another process of this machine, and runs."""
-    process = attempt.process
-    is_of_machine = process is not None and here is not None and process[:2] == here[:2]
-    return is_of_machine and process != here and not is_gone(process)
+    return attempt.process != here and is_gone(attempt.process) is False
 
 
-def is_gone(process: list[str] | None) -> bool:
-    """Whether a process of this machine has ended; False for processes of other machines."""
+def is_gone(process: list[str] | None) -> bool | None:
+    """Whether a process of this machine has ended; None for processes of other machines."""
     here = process_identity(os.getpid())
     if process is None or here is None or process[:2] != here[:2]:
-        return False
+        return None
     return process_identity(int(process[2])) != process

@@ -14,7 +14,7 @@ from bojax.results.attempts import AttemptRegistry, is_gone
 from bojax.results.folder import RunFolder
 
 SILENT_CHECKPOINTS = 5.0
-"""Times `checkpoint_seconds` after which a chunk whose files do not change counts as lost."""
+"""Times `checkpoint_seconds` without a written file after which a chunk of another machine counts as lost."""
 
 SAMPLES = 50
 """Number of finished chunks of a group from which the time of the others is estimated."""
@@ -30,7 +30,7 @@ class OpenAttempt:
     owner: str  # the process, as `HOST-PID`
     age: float  # seconds since it began
     silence: float  # seconds since it last wrote a file
-    is_gone: bool  # whether its owner was a process of this machine that has ended
+    is_gone: bool | None  # whether its owner has ended; None if it was not a process of this machine
 
 
 @dataclass
@@ -46,7 +46,7 @@ class Status:
     runs_done: int = 0  # number of their runs
     paused: int = 0  # number of chunks that wait at a checkpoint
     running: list[OpenAttempt] = field(default_factory=list)  # the chunks that run
-    # The chunks whose owner is gone, or has written nothing for `SILENT_CHECKPOINTS`
+    # The chunks whose owner is gone, or is elsewhere and has written nothing for `SILENT_CHECKPOINTS`
     lost: list[OpenAttempt] = field(default_factory=list)
     failed: dict[int, str] = field(default_factory=dict)  # the reason of each failed chunk, by index
     # Seconds per run of the finished chunks times the runs left, divided by the number of running chunks;
@@ -108,7 +108,7 @@ def status_of(folder: Path) -> Status:
             status.paused += 1
         elif name:
             found = _open_attempt(attempts, name, runs, now)
-            is_lost = found.is_gone or found.silence > most_silence
+            is_lost = found.silence > most_silence if found.is_gone is None else found.is_gone
             (status.lost if is_lost else status.running).append(found)
     pace = {group: _seconds_per_run(attempts, found) for group, found in samples.items()}
     if pace:
@@ -130,7 +130,7 @@ def _open_attempt(attempts: AttemptRegistry, name: str, runs: int, now: float) -
             continue
     owner = "an unknown process" if attempt is None else attempt.owner
     began, wrote = min(times, default=now), max(times, default=now)
-    has_ended = attempt is not None and is_gone(attempt.process)
+    has_ended = None if attempt is None else is_gone(attempt.process)
     return OpenAttempt(_index(name), runs, number, owner, now - began, max(0.0, now - wrote), has_ended)
 
 

@@ -64,11 +64,14 @@ def test_chunks_of_every_kind(folder, capsys):
     attempts.end(done, "done", {"seconds": 40.0})
     attempts.end(failed, "failed", {"error": "boom"})
     long_ago = os.stat(folder.work).st_mtime - 400
-    for path in (silent.path / "attempt.json", silent.path):
-        os.utime(path, (long_ago, long_ago))
     record = json.loads((gone.path / "attempt.json").read_text())
     process = record["process"]
     (gone.path / "attempt.json").write_text(json.dumps({**record, "process": [*process[:3], "0"]}))
+    elsewhere = json.dumps({**record, "process": ["another boot", *process[1:]]})
+    (silent.path / "attempt.json").write_text(elsewhere)
+    for each in (silent, running):  # a process of this machine that runs is not lost, however long it takes
+        for path in (each.path / "attempt.json", each.path):
+            os.utime(path, (long_ago, long_ago))
     code, lines = status(folder, capsys)
     assert code == 1
     assert lines[0] == (

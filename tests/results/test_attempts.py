@@ -184,9 +184,9 @@ def test_processes_are_told_apart(work):
     own = process_identity(os.getpid())
     if own is None:
         pytest.skip("needs /proc")
-    assert not is_gone(own) and not is_gone(None)
+    assert is_gone(own) is False and is_gone(None) is None
     assert is_gone([*own[:3], "0"])  # the number was used again
-    assert not is_gone(["another boot", *own[1:]])  # of another machine: unknown
+    assert is_gone(["another boot", *own[1:]]) is None  # of another machine
     begin(work)
     mine = registry(work).attempt(CHUNK, 1)
     assert mine is not None and mine.process == own and mine.owner.endswith(f"-{os.getpid()}")
