@@ -13,6 +13,7 @@ from bojax.report.template import fill
 from bojax.report.text import counted, joined
 from bojax.results.store import make_folder, write_content
 
+_ELSEWHERE = {"n": "refuted", "i": "inconclusive", FAILED: "not tested"}
 _WORDS = {"r": "holds", "n": "does not hold", "i": "inconclusive", FAILED: "not tested"}
 
 
@@ -93,9 +94,9 @@ def _row(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, Any]:
         "entry_class": claim.entry_class,
         "own": "" if own is None else _WORDS[claim.verdicts[own]],
         "share": f"{share} {bounds}",
-        "fails": f"{claim.count('n') / total:.0%}",
-        "undecided": f"{claim.count('i') / total:.0%}",
-        "untested": f"{claim.count(FAILED) / total:.0%}",
+        "elsewhere": ", ".join(
+            f"{count / total:.0%} {_ELSEWHERE[code]}" for code in _ELSEWHERE if (count := claim.count(code))
+        ),
         "strength": claim.strength,
         "fresh_own": _WORDS[confirmed.own.get(claim.id, FAILED)] if confirmed else "",
         "fresh_best": _WORDS[confirmed.best.get(claim.id, FAILED)] if confirmed else "",
