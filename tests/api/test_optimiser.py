@@ -86,14 +86,17 @@ def test_all_failures_are_a_result_without_a_best_point():
             use()
 
 
-@pytest.fixture
-def few_rows(monkeypatch):
-    """With room for a batch of three, as many rows as elsewhere: the programs are those of single points."""
-    monkeypatch.setattr(optimiser, "LEAST_CAPACITY", optimiser.LEAST_CAPACITY - 2)
+@pytest.fixture(params=[1, 3])
+def batch(request, monkeypatch):
+    """The size of a batch; with room for it, the model has as many rows as elsewhere: programs are shared."""
+    monkeypatch.setattr(optimiser, "LEAST_CAPACITY", optimiser.LEAST_CAPACITY + 1 - request.param)
+    return request.param
 
 
-@pytest.mark.parametrize("batch", [1, 3])
-def test_an_error_of_the_function_is_told_with_its_point_and_what_was_found(batch, few_rows):
+BATCH_OF_THREE = pytest.mark.parametrize("batch", [3], indirect=True)
+
+
+def test_an_error_of_the_function_is_told_with_its_point_and_what_was_found(batch):
     def function(rate, depth, kind):
         if calls.append(depth) or len(calls) == 3:
             raise KeyError("gone")
@@ -105,8 +108,7 @@ def test_an_error_of_the_function_is_told_with_its_point_and_what_was_found(batc
     assert len(caught.value.result.evaluations) == 2 and isinstance(caught.value.__cause__, KeyError)
 
 
-@pytest.mark.parametrize("batch", [1, 3])
-def test_ctrl_c_keeps_what_was_found(batch, few_rows, capsys):
+def test_ctrl_c_keeps_what_was_found(batch, capsys):
     def function(rate, depth, kind):
         if calls.append(depth) or len(calls) == 3:
             raise KeyboardInterrupt
@@ -117,14 +119,15 @@ def test_ctrl_c_keeps_what_was_found(batch, few_rows, capsys):
     assert "stopped after 2 evaluations" in capsys.readouterr().err
 
 
-def test_workers_with_another_number_of_values_end_in_one_line(few_rows):
+@BATCH_OF_THREE
+def test_workers_with_another_number_of_values_end_in_one_line(batch):
     for number in (2, 4):
 
         def workers(function, points, number=number):
             return [0.0] * number
 
         with pytest.raises(bojax.ObjectiveError, match=f"workers: got {number} values; allowed: 3") as caught:
-            bojax.minimise(objective, SPACE, budget=7, batch=3, workers=workers, progress=False)
+            bojax.minimise(objective, SPACE, budget=7, batch=batch, workers=workers, progress=False)
         assert len(caught.value.result.evaluations) == min(number, 3)
 
 
@@ -145,11 +148,12 @@ def test_a_result_stays_as_it_was():
     assert result.predict([{"x": 0.0}])[0] == value != search.result().predict([{"x": 0.0}])[0]
 
 
-def test_a_batch_is_evaluated_by_an_executor_and_known_points_count(few_rows):
+@BATCH_OF_THREE
+def test_a_batch_is_evaluated_by_an_executor_and_known_points_count(batch):
     known = [({"rate": 100.0, "depth": 5, "kind": "a"}, 0.0)]
     with ThreadPoolExecutor(3) as pool:
         result = bojax.minimise(
-            objective, SPACE, budget=7, batch=3, known=known, workers=pool.map, progress=False
+            objective, SPACE, budget=7, batch=batch, known=known, workers=pool.map, progress=False
         )
     assert len(result.evaluations) == 8 and result.best == known[0][0]
     assert len({tuple(each.point.values()) for each in result.evaluations}) == 8
