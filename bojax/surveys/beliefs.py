@@ -1,5 +1,6 @@
 """The belief of a mission: exact from a few measurements, sparse from many."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,9 @@ from bojax.models.sparse import sparse_posterior, spread_inducing
 
 LEAST_CAPACITY = 64
 """Measurements that every belief has room for; a larger one, compiled anew, has twice as many."""
+
+predict = eqx.filter_jit(GaussianProcess.predict)
+"""Posterior mean and variance at points, as one program in place of one for each operation."""
 
 
 def belief_from(

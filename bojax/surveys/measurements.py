@@ -10,7 +10,7 @@ import numpy as np
 from bojax.fields.raster import LARGEST, NO_DATA
 from bojax.models.evidence import LogPrior, log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.surveys.beliefs import belief_from, model_of
+from bojax.surveys.beliefs import belief_from, model_of, predict
 from bojax.surveys.polylines import Waypoints
 
 LEAST_DATA = 10  # measurements before hyper-parameters are learned
@@ -128,7 +128,7 @@ class Measurements:
         Up to `most` measurements they are exact; of more, the belief is summarised at as many points.
         """
         with jax.enable_x64(True):
-            mean, variance = self.belief(most).predict(points)
+            mean, variance = predict(self.belief(most), points)
             deviation = np.sqrt(np.asarray(variance))
         return self.shift + self.scale * np.asarray(mean), self.scale * deviation
 

@@ -17,6 +17,7 @@ from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.models.means import ConstantMean
+from bojax.surveys.beliefs import predict
 
 MOST_POINTS = 200
 """Points of an earlier survey that the model is learned from."""
@@ -59,7 +60,7 @@ class FieldModel:
         posterior = GaussianProcess.fit(
             self._kernel, jnp.asarray(self.noise**2), jnp.asarray(x), jnp.asarray(y - self.mean)
         )
-        mean, variance = posterior.predict(jnp.asarray(points))
+        mean, variance = predict(posterior, jnp.asarray(points))
         return self.mean + np.asarray(mean), np.sqrt(np.asarray(variance))
 
     @property

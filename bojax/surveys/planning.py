@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
@@ -35,6 +36,8 @@ MOST_WAYPOINTS = 128
 
 LONGEST = 3.0
 """Longest lengthscale that an optimised route counts as plausible, relative to the model's."""
+
+_errors_of = eqx.filter_jit(PointErrors.of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +167,7 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     weights = goal.weights(*model.predict(grid))
     longest = max(length_of(each.route) for _, together in routes for each in together)
     sampling = demand.sampling or model.lengthscale / 5.0
-    errors = PointErrors.of(belief, jnp.asarray(grid), jnp.asarray(weights))
+    errors = _errors_of(belief, jnp.asarray(grid), jnp.asarray(weights))
     # No more than twice the longest lawnmower, or routes that are far shorter than the budget would have no
     # sample.
     reach = longest if demand.budget is None else min(demand.budget, 2.0 * longest)
@@ -218,7 +221,7 @@ def lawnmower_guesses(
     assert demand.budget is not None
     ground = Ground.of(area, demand.starts[0], demand.turning_radius)
     ground = ground if region is None else ground_within(ground, region)
-    errors = PointErrors.of(posterior, jnp.asarray(counted_points(area, region, NUM_GRID)))
+    errors = _errors_of(posterior, jnp.asarray(counted_points(area, region, NUM_GRID)))
     outcomes = _Outcomes(errors, sampling, demand.budget, demand.robots)
     routes, _ = _lawnmowers(ground, 0.0, demand)
     found = [outcomes.of_lawnmowers(*each)[0] for each in routes]
