@@ -375,8 +375,8 @@ def products(features, state, action, actions, weights, matrix):
 def test_features_are_bilinear():
     zeros = jnp.zeros(200), jnp.zeros((200, 200))
     specs = (
-        RandomFourierFeatures(num_features=10),
-        RandomFourierFeatures(num_features=10, form="phase"),
+        RandomFourierFeatures(num_features=200),
+        RandomFourierFeatures(num_features=200, form="phase"),
         FourierBasisFeatures(order=2),
         NormalisedRBF(num_state_centres=12, num_action_centres=3),
     )
