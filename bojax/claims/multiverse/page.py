@@ -167,7 +167,7 @@ def _best(multiverse: Multiverse) -> dict[str, Any] | None:
 
 
 def _tied(multiverse: Multiverse, place: int) -> dict[str, Any]:
-    """Other configurations with as many claims as the best, and claims that hold in some of them alone."""
+    """Other configurations with as many claims as the best, and claims that hold in some of them only."""
     holding = multiverse.holding()
     places = [other for other, count in enumerate(holding) if count == holding[place]]
     some = []
