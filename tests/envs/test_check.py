@@ -4,12 +4,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from beartype import beartype
 from jaxtyping import Array, Float
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.check import check_env
 from bojax.envs.spaces import Box, Discrete
 from tests.refusals import assert_refused
+
+
+@beartype
+def _total(terms: list[Array]) -> Array:
+    return sum(terms, start=jnp.zeros_like(terms[0]))
 
 
 class Cart(Env):
@@ -49,6 +55,8 @@ class Cart(Env):
         x = state["x"] + self.speed * action
         if self.broken == "draws of the host":
             x = x + jnp.asarray(np.random.normal(), x.dtype)
+        if self.broken == "checked by beartype":
+            x = _total([x] * 3)
         no = jnp.zeros((), bool)
         result = TimeStep(x, -jnp.sum(x), no, no, no)
         wrong = {
@@ -109,3 +117,5 @@ def test_a_misfit_is_named_and_an_environment_that_fits_passes():
     assert_refused([(lambda: check_env(number, jnp.float32), array)])
     for dtype in (jnp.float32, jnp.float64):
         check_env(Cart(jnp.asarray(0.1, dtype)), dtype)
+    # Beartype draws from Python's generator to choose the item that it checks.
+    check_env(Cart(speed, "checked by beartype"), jnp.float32)
