@@ -26,6 +26,7 @@ from bojax.engine.groups import static_groups
 from bojax.engine.program_cache import EXECUTABLES, GAINS_FROM_GRAPHS, GAINS_FROM_PASSES
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
+from bojax.numerics.lanes import LANES, any_lane
 from tests.engine.drive import run_sweep
 from tests.tiers import by_tier
 from tests.toy import toy
@@ -437,6 +438,27 @@ def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_
     quick.compile("two", DEVICE)
     assert all(options.pop("xla_llvm_disable_expensive_passes") for options in given)
     assert given == [*({"xla_backend_optimization_level": level} for level in (1, 3, 3)), {}]
+
+
+@pytest.mark.parametrize("num_lanes", [1, 2])
+def test_a_loop_on_a_flag_of_its_carry_is_no_graph(monkeypatch, num_lanes):
+    """In XLA, the kernel that reads such a condition of a graph does not wait for what has computed it."""
+
+    def halved(x):
+        def halve(carry):
+            return carry[0] / 2, carry[0] > 4
+
+        return jax.lax.while_loop(lambda carry: any_lane(carry[1]), halve, (x, x > 2))[0]
+
+    numbers = np.full(num_lanes, 40.0)
+    program = program_cache.Program.of_trees(jax.vmap(halved, axis_name=LANES), numbers)
+    given, compile_ = [], jax.stages.Lowered.compile
+    monkeypatch.setattr(program_cache, "_options", lambda *_: {"xla_gpu_enable_command_buffer": "WHILE"})
+    monkeypatch.setattr(
+        jax.stages.Lowered, "compile", lambda self, options: [given.append(options), compile_(self)][1]
+    )
+    np.testing.assert_array_equal(program.compile("halved", DEVICE)(numbers), 1.25)
+    assert [options is not None for options in given] == ([True, False] if num_lanes == 1 else [True])
 
 
 @pytest.mark.parametrize(
