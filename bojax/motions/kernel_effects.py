@@ -23,7 +23,7 @@ def kernel_effects(motions: KernelTrajectories, params: Float[Array, "D"]) -> di
     velocity and acceleration are governed by the time kernel ky." Each lengthscale is multiplied by `FACTOR`,
     one at a time. The effect of a kernel on a quantity is the root mean square of its change over the
     trajectory, and the result is the natural logarithm of the ratio of the effects of the two kernels, that
-    of the kernel that the thesis names over that of the other one.
+    of the kernel that the thesis names over that of the other one; NaN if one of them has no effect.
     """
     before = _profile(motions, params)
     by_time = dataclasses.replace(motions, time_lengthscale=FACTOR * motions.time_lengthscale)
@@ -35,10 +35,14 @@ def kernel_effects(motions: KernelTrajectories, params: Float[Array, "D"]) -> di
 
     time, space = effects(by_time), effects(by_space)
     return {
-        "speed_by_time": jnp.log(time["speed"] / space["speed"]),
-        "acceleration_by_time": jnp.log(time["acceleration"] / space["acceleration"]),
-        "turns_by_space": jnp.log(space["turns"] / time["turns"]),
+        "speed_by_time": _log_ratio(time["speed"], space["speed"]),
+        "acceleration_by_time": _log_ratio(time["acceleration"], space["acceleration"]),
+        "turns_by_space": _log_ratio(space["turns"], time["turns"]),
     }
+
+
+def _log_ratio(one: Scalar, other: Scalar) -> Scalar:
+    return jnp.where((one > 0.0) & (other > 0.0), jnp.log(one / other), jnp.nan)
 
 
 def _profile(motions: KernelTrajectories, params: Float[Array, "D"]) -> dict[str, Float[Array, "..."]]:
