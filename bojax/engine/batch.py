@@ -325,7 +325,7 @@ def obtain(
     ready, are_written = {}, True
     for name, program in programs.items():
         ready[name], events = program_cache.compiled(key, name, program, device)
-        compile_counts[name] += FOUND not in events
+        compile_counts[name] += WRITTEN in events or FOUND not in events
         are_written = are_written and WRITTEN in events
         if key is not None and name not in saved and program_cache.save_program(key, name, program):
             saved.add(name)

@@ -229,44 +229,52 @@ class Program:
         jitted = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding)
         lowered = jitted.lower(*inputs)
         compiled = lowered.compile(options or None)
-        if options.pop(_GRAPHS, None) and has_bare_condition(compiled.as_text()):
-            return lowered.compile(options or None)
+        # An option of the user may record loops, too.
+        records_loops = _LOOPS[0] in options.get(_GRAPHS, os.environ.get("XLA_FLAGS", ""))
+        if records_loops and _has_bare_condition(compiled.as_text()):
+            return lowered.compile({**options, _GRAPHS: ",".join(_COMMANDS)})
         return compiled
 
 
-def has_bare_condition(text: str | None) -> bool:
-    """Whether some loop of a program, in XLA's text, goes on while a value of its carry is true.
+def _has_bare_condition(text: str | None) -> bool:
+    """Whether the condition of some loop only returns a flag of the loop's carry; True without a text.
 
-    As a CUDA graph, such a loop ends too early or too late. A kernel reads the condition, and XLA (of JAX
-    0.11.2) has it wait for the kernels of the condition. If the body has computed it, as `any_lane` of a
-    single lane, there are none, and the kernel reads what was there before. Without a text, it is assumed.
+    As a CUDA graph, such a loop ends too early or too late. A kernel of XLA (of JAX 0.11.2) reads the
+    condition, and waits for the kernels of the condition only. If the body has computed it, as `any_lane` of
+    a single lane, there are none, and the kernel reads what was there before.
+
+    Args:
+        text: The compiled program, as XLA prints it.
     """
     if text is None:
         return True
-    bodies = {name: body for name, body in _COMPUTATION.findall(text)}
-    conditions = set(re.findall(r"condition=%?([\w.-]+)", text))
-    return any(set(_OPERATION.findall(bodies.get(name, ""))) <= _NO_KERNELS for name in conditions)
+    bodies = dict(_COMPUTATION.findall(text))
+    conditions = set(_CONDITION.findall(text))
+    return any(_KERNELS.isdisjoint(_OPERATION.findall(bodies.get(name, ""))) for name in conditions)
 
 
-_COMPUTATION = re.compile(r"^(?:ENTRY )?%?([\w.-]+) \(.*\{\n((?:  .*\n)*)", re.MULTILINE)
-_OPERATION = re.compile(r" = .*? ([a-z-]+)\(")
-_NO_KERNELS = {"parameter", "get-tuple-element", "bitcast", "constant", "tuple"}
-"""Operations that are no kernels."""
-
+_COMPUTATION = re.compile(r"^%?([\w.-]+) \(.*\{\n((?:  .*\n)*)", re.MULTILINE)
+_CONDITION = re.compile(r"\bcondition=%?([\w.-]+)")
+_OPERATION = re.compile(r"^  (?:ROOT )?%?[\w.-]+ = \S+ ([a-z-]+)\(", re.MULTILINE)
+_KERNELS = {"and", "compare", "copy", "custom-call", "fusion", "not", "or", "reduce"}
+"""Operations in a condition that are kernels for certain."""
 
 GAINS = GAINS_FROM_PASSES, GAINS_FROM_GRAPHS = "gains_from_passes", "gains_from_graphs"
 """Attributes of the parts of an experiment whose programs need other options than most.
 
 With the first, a CPU gets XLA's full optimisation in place of a quicker compilation. With the second, a GPU
-runs whole loops as CUDA graphs.
+runs whole loops as CUDA graphs, but for programs with a loop that XLA would end too early or too late.
 """
 
 _QUICK, _FULL = 1, 3
 """Levels of XLA's optimisation: with the first, a sixth less to compile, and most programs are not slower."""
 
 _GRAPHS = "xla_gpu_enable_command_buffer"
-_COMMANDS = "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION,WHILE,CONDITIONAL"
-"""What may be recorded in a CUDA graph: XLA's default, and loops and conditions."""
+_COMMANDS = "FUSION", "CUBLAS", "CUBLASLT", "CUSTOM_CALL", "CUDNN", "DYNAMIC_SLICE_FUSION"
+"""What is recorded in a CUDA graph by default."""
+
+_LOOPS = "WHILE", "CONDITIONAL"
+"""What has to be recorded besides, so that a loop is one graph."""
 
 
 def _options(device: Device, gains: Collection[str]) -> dict[str, Any]:
@@ -276,7 +284,7 @@ def _options(device: Device, gains: Collection[str]) -> dict[str, Any]:
         level = _FULL if GAINS_FROM_PASSES in gains else _QUICK
         options = {"xla_backend_optimization_level": level, "xla_llvm_disable_expensive_passes": True}
     elif _platform_of(device) == "cuda" and GAINS_FROM_GRAPHS in gains:
-        options = {_GRAPHS: _COMMANDS}
+        options = {_GRAPHS: ",".join((*_COMMANDS, *_LOOPS))}
     flags = os.environ.get("XLA_FLAGS", "")
     return {name: value for name, value in options.items() if name not in flags}
 
@@ -358,7 +366,7 @@ def load_program(key: str | None, name: str) -> Program | None:
 
 
 def compiled(key: str | None, name: str, program: Program, device: Device) -> tuple[Compiled, Set[str]]:
-    """A compiled program, and the events of JAX's cache: `FOUND`, or `WRITTEN` if the program is new.
+    """A compiled program, and the events of JAX's cache: `FOUND`, and `WRITTEN` if anything was compiled.
 
     JAX writes its entries in place, without a hash, and never replaces one: what a full disk or a kill has
     cut short would be compiled again in every later sweep, with a warning. The hashes of the entries are kept
@@ -376,7 +384,7 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
                 path.unlink()
     with _noting() as events:
         made = program.compile(own, device)
-    if key and FOUND not in events:
+    if key and WRITTEN in events:
         # Only what this compilation has added is trusted: others may write under the same name.
         for path in set(_entries_of(own)) - kept:
             write(path.name, _hash_of(path) or b"")

@@ -39,9 +39,11 @@ def _watched(check: Callable[..., None]) -> Callable[..., None]:
     """The check, which also refuses random numbers of the host: a trace would repeat them in every call."""
 
     def watched(*arguments: Any) -> None:
-        before = _host_generators()
+        python, numpy = random.getstate(), _numpy_state()
         check(*arguments)
-        if _host_generators() != before:
+        # Beartype draws from Python's generator whenever it checks a list.
+        has_drawn = random.getstate() != python and "beartype" not in sys.modules
+        if has_drawn or _numpy_state() != numpy:
             raise Misfit(
                 "draws from numpy.random or random, once for all steps and runs; allowed: jax.random with "
                 "the given key"
@@ -50,12 +52,10 @@ def _watched(check: Callable[..., None]) -> Callable[..., None]:
     return watched
 
 
-def _host_generators() -> tuple[Any, ...]:
-    """The states of the global generators of Python and NumPy."""
+def _numpy_state() -> tuple[Any, ...]:
+    """The state of NumPy's global generator."""
     _, words, *rest = np.random.get_state(legacy=True)
-    # Beartype draws from Python's generator whenever it checks a list.
-    of_python = None if "beartype" in sys.modules else random.getstate()
-    return of_python, np.asarray(words).tobytes(), *rest
+    return np.asarray(words).tobytes(), *rest
 
 
 def require_arrays(part: Any) -> None:

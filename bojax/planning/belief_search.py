@@ -71,7 +71,10 @@ class BeliefTreeSearch(eqx.Module):
     """
 
     gains_from_graphs: ClassVar[bool] = True
-    """Makes the engine run the loops of a search as CUDA graphs on a GPU, where launches are its limit."""
+    """Makes the engine run the loops of searches as CUDA graphs on a GPU, where launches are their limit.
+
+    The engine leaves this out where XLA would get the end of a loop wrong, as in a single search.
+    """
 
     exploration: Float[Array, ""]  # the factor c
     # Rule by which actions are added; of a discrete space all actions exist at once

@@ -440,8 +440,9 @@ def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_
     assert given == [*({"xla_backend_optimization_level": level} for level in (1, 3, 3)), {}]
 
 
+@pytest.mark.parametrize("by_user", [False, True])
 @pytest.mark.parametrize("num_lanes", [1, 2])
-def test_a_loop_on_a_flag_of_its_carry_is_no_graph(monkeypatch, num_lanes):
+def test_a_loop_on_a_flag_of_its_carry_is_no_graph(monkeypatch, num_lanes, by_user):
     """In XLA, the kernel that reads such a condition of a graph does not wait for what has computed it."""
 
     def halved(x):
@@ -453,12 +454,58 @@ def test_a_loop_on_a_flag_of_its_carry_is_no_graph(monkeypatch, num_lanes):
     numbers = np.full(num_lanes, 40.0)
     program = program_cache.Program.of_trees(jax.vmap(halved, axis_name=LANES), numbers)
     given, compile_ = [], jax.stages.Lowered.compile
-    monkeypatch.setattr(program_cache, "_options", lambda *_: {"xla_gpu_enable_command_buffer": "WHILE"})
+    graphs = "xla_gpu_enable_command_buffer"
+    if by_user:
+        monkeypatch.setenv("XLA_FLAGS", f"--{graphs}=+WHILE")
+    monkeypatch.setattr(program_cache, "_options", lambda *_: {} if by_user else {graphs: "FUSION,WHILE"})
     monkeypatch.setattr(
         jax.stages.Lowered, "compile", lambda self, options: [given.append(options), compile_(self)][1]
     )
     np.testing.assert_array_equal(program.compile("halved", DEVICE)(numbers), 1.25)
-    assert [options is not None for options in given] == ([True, False] if num_lanes == 1 else [True])
+    first, *again = ((options or {}).get(graphs, "") for options in given)
+    assert ("WHILE" in first) is not by_user
+    assert [set(value.split(",")) >= {"FUSION"} and "WHILE" not in value for value in again] == (
+        [True] if num_lanes == 1 else []
+    )
+
+
+def test_texts_of_programs_with_and_without_a_bare_condition():
+    def program(*conditions):
+        loops = "".join(
+            f"%region.{i}-clone (arg: (s32[], pred[])) -> pred[] {{\n"
+            "  %arg = (s32[], pred[]) parameter(0)\n"
+            f"  ROOT %root = pred[] {operation}(%arg), index=1\n}}\n\n"
+            for i, operation in enumerate(conditions)
+        )
+        whiles = "".join(
+            f"  %while.{i} = (s32[], pred[]) while(%tuple), condition=%region.{i}-clone, body=%body\n"
+            for i in range(len(conditions))
+        )
+        return f"HloModule jit_program\n\n{loops}ENTRY %main () -> s32[] {{\n{whiles}}}\n"
+
+    is_bare = program_cache._has_bare_condition
+    assert not is_bare(program())
+    assert not is_bare(program("fusion", "compare"))
+    assert is_bare(program("fusion", "get-tuple-element"))
+    assert is_bare(program("opt-barrier", "fusion"))  # unknown operations may be no kernels
+    assert is_bare("ENTRY %main () -> s32[] {\n  %w = s32[] while(%x), condition=%elsewhere, body=%b\n}\n")
+    assert is_bare(None)
+
+
+def test_a_program_that_is_compiled_twice_keeps_both_entries(tmp_path, monkeypatch):
+    monkeypatch.setattr(program_cache, "_has_bare_condition", lambda _: True)
+    graphs = {"xla_gpu_enable_command_buffer": "WHILE"}
+    monkeypatch.setattr(program_cache, "_options", lambda *_: dict(graphs))
+    program = program_cache.Program.of_trees(lambda x: jax.numpy.sin(x) + 1, np.zeros(3))
+    with caching_in(tmp_path):
+        key = "0" * 64
+        first = [program_cache.compiled(key, "twice", program, DEVICE)[1] for _ in range(2)]
+        for entry in list(tmp_path.glob("jit_twice_*-cache"))[:1]:
+            entry.unlink()
+        again = [program_cache.compiled(key, "twice", program, DEVICE)[1] for _ in range(2)]
+    both = {program_cache.FOUND, program_cache.WRITTEN}
+    found = [sorted(events & both) for events in (*first, *again)]
+    assert found == [[program_cache.WRITTEN], [program_cache.FOUND], sorted(both), [program_cache.FOUND]]
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 """A user's environment is checked before it runs, and every misfit is named in one line."""
 
+import random
+import sys
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -57,6 +60,8 @@ class Cart(Env):
             x = x + jnp.asarray(np.random.normal(), x.dtype)
         if self.broken == "checked by beartype":
             x = _total([x] * 3)
+        if self.broken == "draws of Python":
+            x = x + random.random()
         no = jnp.zeros((), bool)
         result = TimeStep(x, -jnp.sum(x), no, no, no)
         wrong = {
@@ -89,7 +94,7 @@ MISFITS = {
 }
 
 
-def test_a_misfit_is_named_and_an_environment_that_fits_passes():
+def test_a_misfit_is_named_and_an_environment_that_fits_passes(monkeypatch):
     speed = jnp.float32(0.1)
     assert_refused(
         (lambda broken=broken: check_env(Cart(speed, broken), jnp.float32), f"^Cart: .*{message}")
@@ -119,3 +124,12 @@ def test_a_misfit_is_named_and_an_environment_that_fits_passes():
         check_env(Cart(jnp.asarray(0.1, dtype)), dtype)
     # Beartype draws from Python's generator to choose the item that it checks.
     check_env(Cart(speed, "checked by beartype"), jnp.float32)
+    monkeypatch.delitem(sys.modules, "beartype")
+    assert_refused(
+        [
+            (
+                lambda: check_env(Cart(speed, "draws of Python"), jnp.float32),
+                "^Cart: draws from numpy.random or random",
+            )
+        ]
+    )
