@@ -44,7 +44,7 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class Standing:
+class RankedPoint:
     """A point in a ranking."""
 
     point: Point
@@ -71,14 +71,14 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     return Measure(column, by.startswith("-"))
 
 
-def ranking(results: Results, measure: Measure, most: int | None = None) -> list[Standing]:
+def ranking(results: Results, measure: Measure, most: int | None = None) -> list[RankedPoint]:
     """The points with runs, at most `most` and the best first; those with a non-finite value are left out."""
     runs = {point.index: results.runs_of(point) for point in results.points}
     values = {point.index: measure.values(results, point) for point in results.points}
     points = [point for point in results.points if values[point.index].size]
     points = [point for point in points if np.isfinite(values[point.index]).all()]
     points.sort(key=lambda point: -measure.sign * float(values[point.index].mean()))  # ties stay in order
-    standings = []
+    ranked = []
     for point in points[:most]:
         own, best = (each.index for each in (point, points[0]))
         _, here, there = np.intersect1d(runs[own]["run"], runs[best]["run"], return_indices=True)
@@ -89,23 +89,23 @@ def ranking(results: Results, measure: Measure, most: int | None = None) -> list
         else:
             mean_of = statistics.time_interval if measure.column in ENDS else statistics.mean_interval
             mean, lag = mean_of(values[own]), statistics.mean_interval(both @ weights)
-        standings.append(Standing(point, values[own].size, mean, lag))
-    return standings
+        ranked.append(RankedPoint(point, values[own].size, mean, lag))
+    return ranked
 
 
-def best_of(results: Results, measure: Measure) -> Standing:
+def best_of(results: Results, measure: Measure) -> RankedPoint:
     """The best point."""
-    standings = ranking(results, measure, most=1)
-    if not standings:
+    ranked = ranking(results, measure, most=1)
+    if not ranked:
         raise ResultsError(f"{results.folder}: {measure.column} is not finite in some run of every point")
-    return standings[0]
+    return ranked[0]
 
 
-def scored(measure: Measure, standing: Standing) -> str:
+def scored(measure: Measure, point: RankedPoint) -> str:
     """The score of a point in one line."""
-    mean, bounds = standing.mean.in_words()
+    mean, bounds = point.mean.in_words()
     told = bounds if bounds == statistics.NO_INTERVAL else f"95% interval {bounds}"
-    return f"{measure.words}: {mean}, {told}, {counted(standing.runs, 'run')}"
+    return f"{measure.words}: {mean}, {told}, {counted(point.runs, 'run')}"
 
 
 def config_of(results: Results, point: Point) -> dict[str, Any]:

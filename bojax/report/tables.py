@@ -10,7 +10,7 @@ import numpy as np
 from bojax.config.changed import leaves
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
-from bojax.report.ranking import Standing, measure_of, ranking
+from bojax.report.ranking import RankedPoint, measure_of, ranking
 from bojax.report.source import Point, Results, swept_keys
 from bojax.report.text import MISSING, counted, heading, is_number, joined, number, plain, seconds
 from bojax.results.store import ResultsError
@@ -98,14 +98,14 @@ def ranked(results: Results) -> Table | None:
         measure = measure_of(results)
     except ResultsError:  # `ranking_gaps` says so
         return None
-    standings = ranking(results, measure, MAX_RANKED)
-    if not standings:
+    ranked = ranking(results, measure, MAX_RANKED)
+    if not ranked:
         return None
-    keys = swept_keys([standing.point for standing in standings])
+    keys = swept_keys([each.point for each in ranked])
     rows = []
-    for standing in standings:
-        swept = [setting_cell(standing.point.swept.get(key)) for key in keys]
-        rows.append([*score_cells(standing, standings[0]), *swept, count_cell(standing.runs)])
+    for each in ranked:
+        swept = [setting_cell(each.point.swept.get(key)) for key in keys]
+        rows.append([*score_cells(each, ranked[0]), *swept, count_cell(each.runs)])
     order = "least" if measure.is_least else "greatest"
     caption = (
         f"{counted(len(rows), 'point')} by {measure.words}, the {order} first, 95% intervals in brackets. "
@@ -126,10 +126,10 @@ BEHIND = (
 LAG = "behind the best"  # its heading
 
 
-def score_cells(standing: Standing, best: Standing) -> list[Cell]:
+def score_cells(point: RankedPoint, best: RankedPoint) -> list[Cell]:
     """The mean of a point, and how far it is behind the best."""
-    lag = Cell(MISSING, key=0.0) if standing is best else interval_cell(standing.lag)
-    return [interval_cell(standing.mean), lag]
+    lag = Cell(MISSING, key=0.0) if point is best else interval_cell(point.lag)
+    return [interval_cell(point.mean), lag]
 
 
 def ranking_gaps(results: Results) -> list[str]:

@@ -150,10 +150,10 @@ def _summary(tuning: Tuning, fresh: Results | None) -> str:
     )
     if fresh is None:
         return f"{found}."
-    standings = {standing.point.index: standing.mean for standing in ranking(fresh, tuning.measure)}
-    if 0 not in standings:
+    means = {each.point.index: each.mean for each in ranking(fresh, tuning.measure)}
+    if 0 not in means:
         return f"{found}; some fresh runs have no finite value."
-    mean, bounds = standings[0].in_words()
+    mean, bounds = means[0].in_words()
     return f"{found}, and {counted(fresh.manifest.runs or 0, 'fresh run')} have {mean} {bounds}."
 
 
@@ -161,13 +161,13 @@ def _confirmed(tuning: Tuning, fresh: Results) -> Table:
     """The best points and the config as written, on fresh runs."""
     rows = []
     keys = [each.key for each in tuning.ranges]
-    standings = ranking(fresh, tuning.measure)
-    for standing in standings:
-        values = [standing.point.swept[key] for key in keys]
+    ranked = ranking(fresh, tuning.measure)
+    for each in ranked:
+        values = [each.point.swept[key] for key in keys]
         expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
         place = expected.get(tuple(values))  # whole numbers are equal as integers and as floats
         name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
-        cells = [Cell(name, key=place or ""), *score_cells(standing, standings[0])]
+        cells = [Cell(name, key=place or ""), *score_cells(each, ranked[0])]
         rows.append([*cells, *map(setting_cell, values)])
     headings = ["in the search", tuning.measure.words, LAG, *keys]
     caption = (

@@ -187,9 +187,9 @@ class _Rounds:
         sweep = task.sweep(points, name, **changes, record=config.record.model_dump(mode="json"))
         if code := self._run(sweep, self._folder / name):
             return code
-        for standing in ranking(load(self._folder / name), self._measure):
-            if standing.point.index == 0:
-                print(f"the best setting on fresh runs: {scored(self._measure, standing)}")
+        for each in ranking(load(self._folder / name), self._measure):
+            if each.point.index == 0:
+                print(f"the best setting on fresh runs: {scored(self._measure, each)}")
         return name
 
     def _write(self, order: Sequence[int], confirmed: str | None) -> None:

@@ -42,14 +42,14 @@ def swept_results(runs, swept):
     return results
 
 
-def swept_of(standing):
-    return standing.point.swept["planner.depth"], standing.point.swept["planner.kappa"]
+def swept_of(ranked):
+    return ranked.point.swept["planner.depth"], ranked.point.swept["planner.kappa"]
 
 
 def test_the_order_is_that_of_the_means():
-    standings = ranking(grid(), RETURN)
-    assert swept_of(standings[0]) == (3, 1.0) and len(standings) == 16
-    means = [standing.mean.estimate for standing in standings]
+    ranked = ranking(grid(), RETURN)
+    assert swept_of(ranked[0]) == (3, 1.0) and len(ranked) == 16
+    means = [each.mean.estimate for each in ranked]
     assert means == sorted(means, reverse=True)
     assert swept_of(best_of(grid(), Measure("rmse", is_least=True))) == (3, 1.0)
     assert swept_of(best_of(grid(), Measure("rmse", is_least=False)))[0] == 1
@@ -58,23 +58,21 @@ def test_the_order_is_that_of_the_means():
 def test_differences_from_the_best_are_paired():
     first, *others = ranking(grid(), RETURN)
     assert (first.lag.estimate, first.lag.low, first.lag.high) == (0.0, 0.0, 0.0)
-    for standing in others:
-        depth, kappa = swept_of(standing)
+    for each in others:
+        depth, kappa = swept_of(each)
         lag = (depth - 3.0) ** 2 + np.log10(kappa) ** 2
         # The noise is the same at both points, so that nothing of it is left.
-        np.testing.assert_allclose(
-            [standing.lag.estimate, standing.lag.low, standing.lag.high], lag, atol=1e-9
-        )
-        assert standing.mean.high - standing.mean.low > 0.3
+        np.testing.assert_allclose([each.lag.estimate, each.lag.low, each.lag.high], lag, atol=1e-9)
+        assert each.mean.high - each.mean.low > 0.3
 
 
 def test_runs_that_only_one_point_has_do_not_enter_a_difference():
     results = grid()
     kept = ~((results.runs["point"] == 0) & (results.runs["run"] % 2 == 0))
     results.__dict__["runs"] = {name: values[kept] for name, values in results.runs.items()}
-    standing = next(each for each in ranking(results, RETURN) if each.point.index == 0)
-    assert standing.runs == 15
-    np.testing.assert_allclose(standing.lag.low, 4.0 + 1.0, atol=1e-9)
+    each = next(each for each in ranking(results, RETURN) if each.point.index == 0)
+    assert each.runs == 15
+    np.testing.assert_allclose(each.lag.low, 4.0 + 1.0, atol=1e-9)
 
 
 def test_a_point_with_a_nan_has_no_rank_and_ties_keep_their_order():
@@ -82,7 +80,7 @@ def test_a_point_with_a_nan_has_no_rank_and_ties_keep_their_order():
     values = results.runs["return"]
     values[results.runs["point"] == 9] = values[results.runs["point"] == 8]
     values[3] = np.nan
-    found = [standing.point.index for standing in ranking(results, RETURN)]
+    found = [each.point.index for each in ranking(results, RETURN)]
     assert 0 not in found and len(found) == 15
     assert found.index(8) + 1 == found.index(9)
 
@@ -99,7 +97,7 @@ def test_a_run_that_never_reaches_its_goal_counts_with_its_end(tmp_path):
     results = load(write_learning(tmp_path / "a"))
     measure = measure_of(results)
     assert measure == Measure("steps_to_goal", is_least=True)
-    labels = [standing.point.label for standing in ranking(results, measure)]
+    labels = [each.point.label for each in ranking(results, measure)]
     assert labels == ["emu-q", "rff-q", "epsilon-greedy"]
     runs = results.runs_of(results.points[1])
     never = np.isnan(runs["steps_to_goal"].astype(float))
@@ -115,8 +113,8 @@ def test_a_run_gains_nothing_by_ending_early_without_reaching_its_goal():
             "b": {"steps_to_goal": np.full(4, np.nan), "steps": np.full(4, 10)},
         }
     )
-    standings = ranking(results, Measure("steps_to_goal", is_least=True))
-    assert [(each.point.name, each.mean.estimate) for each in standings] == [("a", 50), ("b", 60)]
+    ranked = ranking(results, Measure("steps_to_goal", is_least=True))
+    assert [(each.point.name, each.mean.estimate) for each in ranked] == [("a", 50), ("b", 60)]
 
 
 def test_an_unknown_column_is_refused_with_those_that_are_known():
