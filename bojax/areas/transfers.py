@@ -89,7 +89,7 @@ class Transfers:
         return np.concatenate([corners, ends])[nodes_to(number + 1, before)]
 
     def _shortened(self, first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
-        """A way along edges of triangles, from each waypoint of which the next is the last in sight."""
+        """A way along edges of triangles: from each waypoint to the last one in sight."""
         way = self.triangles.way(first, last, self.reach)
         if way is None:
             return None

@@ -52,7 +52,7 @@ _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 YOUNG_OBJECTS = 50_000
 """Number of new objects after which Python searches them for cycles.
 
-Imports and tracing make millions of objects, of which few are in cycles. By default, Python searches after
+Imports and tracing make millions of objects, and few of them are in cycles. By default, Python searches after
 every 700 (2,000 from Python 3.13), which takes a tenth of the time in which a sweep starts.
 """
 

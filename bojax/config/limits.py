@@ -72,7 +72,7 @@ def read_within(limit: Limit, path: Path, where: str) -> bytes:
 def counts_of(component: Component, path: Location = ()) -> Iterator[tuple[Location, int, int]]:
     """The integers of an experiment and the lengths of its lists, each with its path and its default.
 
-    The default is 1 where there is none, or where it is 0.
+    A default that is missing or 0 counts as 1.
     """
     for name, field in type(component).model_fields.items():
         value, default, where = getattr(component, name), field.default, (*path, name)

@@ -36,8 +36,8 @@ MOST_SECONDS = 20.0
 def write_baseline(sweep: Sweep, folder: Path) -> None:
     """Write the baseline of a finished learning run into its results folder, unless it is there.
 
-    There is none of learners that do not train or are random, or if a step of the environment is slow: of a
-    robot, of Brax or of Gymnasium, or if the first runs say that all would take longer than `MOST_SECONDS`.
+    A learner that does not train or is random has no baseline. Neither has an environment whose steps are
+    slow (a robot, or one of Brax or Gymnasium), or whose baseline would take longer than `MOST_SECONDS`.
     A failure is a note, since the results are complete.
     """
     config, path = sweep.points[0].config, folder / FILE

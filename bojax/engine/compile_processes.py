@@ -96,7 +96,7 @@ def number_of_processes(num_groups: int, devices: Sequence[Device]) -> int:
 
 
 class CompileProcesses:
-    """Child processes, each of which compiles one group at a time.
+    """Child processes; each compiles one group at a time.
 
     Args:
         number: Number of processes, which start at once.

@@ -108,7 +108,7 @@ def load_learner(folder: Path, run: int, structure: PyTree[jax.ShapeDtypeStruct]
     """The state of the learner of a run.
 
     Raises:
-        ResultsError: There is none, a file has changed, or the structure is another one.
+        ResultsError: No learner is saved, a file has changed, or the structure is another one.
     """
     if not folder.is_dir():
         raise ResultsError(

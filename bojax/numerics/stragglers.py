@@ -1,4 +1,4 @@
-"""Loops of many lanes, most of which end early.
+"""Loops over many lanes that mostly end early.
 
 For GPUs. A CPU computes such loops for one lane after the other: `bojax.numerics.lanes.lane_by_lane_on_cpu`.
 """

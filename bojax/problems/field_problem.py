@@ -177,7 +177,7 @@ class FieldProblem(PathProblem):
         """The field that the world has.
 
         Raises:
-            ValueError: There is none.
+            ValueError: The world has no field.
         """
         if self.field is None:
             raise ValueError("field: got none; allowed, to execute a path or to score a belief: a true field")

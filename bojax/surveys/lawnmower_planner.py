@@ -25,7 +25,7 @@ from bojax.surveys.polylines import Waypoints, length_of
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-WAYPOINTS = 64  # of which the number of waypoints is a multiple
+WAYPOINTS = 64  # the number of waypoints is a multiple of this
 GRID_POINTS = 400  # of the area, whose distances from routes are compared
 CLEARANCES = (0.5, 0.05, 0.005)  # from obstacles, as shares of the distance between two poses
 

@@ -1,4 +1,4 @@
-"""A range finder of beams all around, of which one detects the target (VDP Tag and Sub Hunt)."""
+"""A range finder with beams all around; one of them detects the target (VDP Tag and Sub Hunt)."""
 
 import equinox as eqx
 import jax

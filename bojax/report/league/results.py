@@ -33,7 +33,7 @@ class League:
 
     @classmethod
     def read(cls, folder: Path) -> "League":
-        """The league in a folder, of which some pieces may be missing.
+        """The league in a folder; some of its pieces may be missing.
 
         Raises:
             ResultsError: There are no results in it.

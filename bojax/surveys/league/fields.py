@@ -83,7 +83,7 @@ def league() -> list[Field]:
 
 
 def _warped(points: np.ndarray) -> np.ndarray:
-    """Positions of which a stationary field varies four times as fast at one corner as at the opposite."""
+    """Positions at which a stationary field varies four times as fast in one corner as in the opposite."""
     return points * (0.5 + 0.75 * points / SIDE)
 
 

@@ -24,7 +24,7 @@ class Logged:
 
 
 Columns: TypeAlias = Mapping[str, Callable[[], Logged]]
-"""Columns of a run by name, each of which is read when it is asked for."""
+"""Columns of a run by name; each is read when it is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
