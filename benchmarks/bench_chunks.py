@@ -115,7 +115,7 @@ def _merge(folder: Path, chunks: int) -> dict[str, float]:
     before = _megabytes()
     start = time.perf_counter()
     opened, _ = _timed(run.open)
-    merged, _ = _timed(lambda: run.conclude(print, bool))
+    merged, _ = _timed(lambda: run.finalise(print, bool))
     return {
         "open_cpu_seconds": opened,
         "merge_cpu_seconds": merged,

@@ -329,7 +329,7 @@ def _counted(result: Any) -> str:
 
 
 def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> Collection[str]:
-    """Check the observations and the rewards of a few steps under random actions, and that success is told.
+    """Check observations and rewards of a few steps under random actions, and that success is reported.
 
     Args:
         env: The environment.

@@ -184,7 +184,7 @@ class Refit(eqx.Module):
         mean: Float[Array, "M 2"],
         is_active: Bool[Array, ""],
     ) -> Float[Array, "M 2"]:
-        """The means with that of U swept until it has converged."""
+        """The means, after sweeps of U until it has converged."""
         swept = self._until_converged(lambda _, u: sweep(u), mean[:, U], is_active)
         return mean.at[:, U].set(swept)
 

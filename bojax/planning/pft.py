@@ -136,7 +136,7 @@ def entropy(log_weights: Float[Array, "M"], states: Float[Array, "M D"]) -> Floa
 
 
 def _weights(log_weights: Float[Array, "M"]) -> Float[Array, "M"]:
-    """Weights of which the largest is 1; zeros if there is none."""
+    """Weights scaled to a maximum of 1; zeros if all logarithms are -inf."""
     largest = jnp.max(log_weights)
     return jnp.where(jnp.isfinite(largest), jnp.exp(log_weights - largest), 0.0)
 

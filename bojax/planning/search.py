@@ -98,7 +98,7 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         """
 
     def recommend(self, tree: Tree, memory: Memory) -> Int[Array, ""]:
-        """The child of the root whose action is executed; by default that of the highest mean return."""
+        """The child of the root whose action is executed; by default the one with the highest mean return."""
         return best_by_mean(tree)
 
     @abc.abstractmethod

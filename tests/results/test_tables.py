@@ -216,7 +216,7 @@ def test_the_checkpoint_before_stays_until_the_next_one_is_committed(tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["deleted", "flipped"])
-def test_a_damaged_part_is_not_merged(tmp_path, damage):
+def test_a_damaged_piece_is_not_merged(tmp_path, damage):
     files = done(attempt(tmp_path), steps((0, 0, 1, 0.0)), steps((0, 0, 2, 0.0)))
     path = files.path / "piece-000001-steps.parquet"
     if damage == "deleted":
