@@ -13,9 +13,12 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from options import positive
+
+if TYPE_CHECKING:
+    from bojax.engine.sweep_run import SweepRun
 
 QUEUE = 64
 """Runs of a chunk on a CPU."""
@@ -54,7 +57,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _sweep_run(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, float]:
+def _sweep_run(folder: Path, chunks: int, *, is_resumed: bool) -> tuple["SweepRun", float]:
     """The sweep in its folder, and the processor time that the plan took."""
     import jax
 

@@ -202,7 +202,7 @@ def minimise(
         known: Evaluations that have already been made: pairs of a point and its value.
         noisy: Whether evaluations of one point differ from time to time. The best point is then the one with
             the best mean under the model, and not the one with the luckiest value.
-        initial: Number of quasi-random points at the beginning, with the known ones; by default 2 for
+        initial: Number of quasi-random points at the beginning, including known ones; by default 2 for
             each axis and 2 more, at most 16.
         workers: Evaluates the points of a batch: `map`, or `map` of an executor, which does so in parallel.
         seed: Seed of the proposals.

@@ -1,18 +1,14 @@
 """Checks of a sweep's report and claims against its points."""
 
-from typing import TYPE_CHECKING
-
 from bojax.config.claims import Window
 from bojax.config.errors import ConfigError, allowed_names, did_you_mean, shown
 from bojax.config.figures import TABLES, figure_modules
 from bojax.config.files import available
+from bojax.config.points import Sweep
 from bojax.config.references import OfClaim, Reference, matching, references
 
-if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
 
-
-def check_sweep(sweep: "Sweep", file: str) -> None:
+def check_sweep(sweep: Sweep, file: str) -> None:
     """Refuse duplicate ids of claims, and names that the sweep does not have.
 
     Raises:
@@ -74,7 +70,7 @@ def check_sweep(sweep: "Sweep", file: str) -> None:
                 )
 
 
-def check_reference(reference: Reference, sweep: "Sweep", where: str) -> None:
+def check_reference(reference: Reference, sweep: Sweep, where: str) -> None:
     """Refuse a reference to a claim or a point that a sweep does not have.
 
     Raises:
@@ -99,7 +95,7 @@ def check_reference(reference: Reference, sweep: "Sweep", where: str) -> None:
     _check_column(sweep, None if reference.episodes else reference.column, where)
 
 
-def _check_column(sweep: "Sweep", column: str | None, where: str) -> None:
+def _check_column(sweep: Sweep, column: str | None, where: str) -> None:
     """Refuse the column `return` of the runs of learners, which have one return for each episode."""
     is_learning = any(point.config.kind == "learning" for point in sweep.points)
     if is_learning and column is not None and column.removeprefix("-") == "return":

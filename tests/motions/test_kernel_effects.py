@@ -51,3 +51,8 @@ def test_effects_are_changes_by_half_a_lengthscale(start):
         assert set(found) == set(expected)
         for name, value in expected.items():
             np.testing.assert_allclose(found[name], value, atol=5e-3, err_msg=name)
+
+
+def test_a_kernel_without_effect_has_no_ratio():
+    straight = jax.jit(kernel_effects)(kernel(start="pose"), jax.numpy.zeros(3))
+    assert np.isnan(straight["turns_by_space"])

@@ -70,9 +70,9 @@ def test_runs_that_only_one_point_has_do_not_enter_a_difference():
     results = grid()
     kept = ~((results.runs["point"] == 0) & (results.runs["run"] % 2 == 0))
     results.__dict__["runs"] = {name: values[kept] for name, values in results.runs.items()}
-    each = next(each for each in ranking(results, RETURN) if each.point.index == 0)
-    assert each.runs == 15
-    np.testing.assert_allclose(each.lag.low, 4.0 + 1.0, atol=1e-9)
+    first = next(each for each in ranking(results, RETURN) if each.point.index == 0)
+    assert first.runs == 15
+    np.testing.assert_allclose(first.lag.low, 4.0 + 1.0, atol=1e-9)
 
 
 def test_a_point_with_a_nan_has_no_rank_and_ties_keep_their_order():
