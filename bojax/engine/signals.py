@@ -1,6 +1,7 @@
 """Signals such as SIGINT and SIGTERM: the first stops a sweep after its segment, the second exits at once."""
 
 import contextlib
+import math
 import os
 import signal
 import socket
@@ -13,6 +14,8 @@ _HANGUP: signal.Signals | None = getattr(signal, "SIGHUP", None)  # Windows lack
 SIGNALS = (signal.SIGINT, signal.SIGTERM, *([_HANGUP] if _HANGUP else []))
 """What stops a sweep: Ctrl-C, the system or a scheduler, and a terminal that is closed."""
 
+_ECHO_SECONDS = 0.2
+"""Time in which a repeated SIGTERM counts once: `timeout` sends one to a process, and one to its group."""
 
 _ends_process = [True]
 
@@ -32,9 +35,9 @@ class StopRequest:
 
     Python runs signal handlers between bytecodes of the main thread, so during a long compilation a handler
     would have to wait. Instead, a thread reads signals from a wake-up socket. It needs the interpreter, which
-    a library may hold forever; so once the main thread has noticed a signal, the system ends the process at
-    the next. A second SIGHUP means nothing: the shell and the system may each send one when a terminal is
-    closed.
+    a library may hold forever; so soon after the main thread has noticed a signal, the system ends the
+    process at the next. A second SIGHUP means nothing: the shell and the system may each send one when a
+    terminal is closed.
 
     A signal that is ignored when the block begins stays ignored, as `nohup` asks for.
 
@@ -85,21 +88,25 @@ class StopRequest:
             signal.set_wakeup_fd(self._wakeup)
             self._writer.close()  # the thread reads the end of the stream and ends
 
-    def _handle(self, *_: object) -> None:
+    def _handle(self, signum: int, _: object) -> None:
+        if self._exits and signum == signal.SIGTERM:
+            time.sleep(_ECHO_SECONDS)
         for number in self._signals if self._exits else ():
             signal.signal(number, signal.SIG_IGN if number == _HANGUP else signal.SIG_DFL)
 
     def _watch(self) -> None:
+        first = -math.inf
         with self._reader:
             while received := self._reader.recv(1):
                 number = received[0]
                 if number not in self._signals:
                     continue
-                if self.signum is not None and number == _HANGUP:
+                is_echo = number == self.signum == signal.SIGTERM and time.monotonic() < first + _ECHO_SECONDS
+                if self.signum is not None and (number == _HANGUP or (is_echo and self._exits)):
                     continue
                 if self.signum is not None and self._exits:
                     os._exit(128 + number)
-                self.signum = number
+                self.signum, first = number, time.monotonic()
                 hint = "; repeat the signal to exit at once" if self._exits else ""
                 self._announce(f"stopping after this segment{hint}")
 

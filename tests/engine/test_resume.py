@@ -119,6 +119,30 @@ def test_nohup_keeps_a_sweep_running():
         signal.signal(signal.SIGHUP, before)
 
 
+WAITING = """
+import sys, time
+from bojax.engine.signals import StopRequest
+with StopRequest() as stop:
+    print("ready", flush=True)
+    deadline = time.monotonic() + 60
+    while not stop and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.5)
+sys.exit(3 if stop else 0)
+"""
+
+
+def test_a_signal_to_the_process_and_to_its_group_counts_once():
+    """`timeout` sends both."""
+    command, streams = [sys.executable, "-c", WAITING], {"stdout": subprocess.PIPE}
+    with subprocess.Popen(command, start_new_session=True, **streams) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGTERM)
+        time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGTERM)
+        assert process.wait(timeout=60) == 3
+
+
 HELD = """
 import ctypes, os, signal, threading
 from bojax.engine.signals import StopRequest
