@@ -123,8 +123,8 @@ class _Launch(abc.ABC):
             time.sleep(0.02)
 
     def is_running(self) -> bool:
-        """Whether anything can begin a chunk."""
-        return any(child.poll() is None for child in self._children)
+        """Whether anything can begin a chunk: a process that was paused to the end cannot."""
+        return any(child.poll() is None and child.pid not in self._paused for child in self._children)
 
     def finish(self) -> None:
         """Resume the sweep until it is finished, and wake up what was paused."""
