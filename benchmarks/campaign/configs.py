@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import Ended, cli, run, scratch
+from benchmarks.campaign.process import CommandResult, cli, run, scratch
 from benchmarks.campaign.snippets import listed, odd, shown
 from benchmarks.campaign.spoil import BYTES, NO_FILES
 from benchmarks.campaign.trees import assign, at, paths
@@ -35,7 +35,7 @@ _HERE = "@here@"
 
 
 @dataclass(frozen=True)
-class Given:
+class CommandLine:
     """A command line, with its files written."""
 
     tried: str  # what is odd about it
@@ -56,7 +56,7 @@ def check(seed: int) -> Outcome:
         return Outcome(given.tried, _fault(given, ended) or _written(given, ended, before, _listing(place)))
 
 
-def _fault(given: Given, ended: Ended) -> str:
+def _fault(given: CommandLine, ended: CommandResult) -> str:
     if ended.cpu > MAX_SECONDS:
         return f"{ended.cpu:.0f} s of processor time; {ended.err[-200:]}"
     if ended.megabytes > MAX_MEGABYTES:
@@ -65,7 +65,7 @@ def _fault(given: Given, ended: Ended) -> str:
     return fault_of(ended, codes, alone=given.stops)
 
 
-def _written(given: Given, ended: Ended, before: set[str], after: set[str]) -> str:
+def _written(given: CommandLine, ended: CommandResult, before: set[str], after: set[str]) -> str:
     if not given.stops and ended.code == 0:
         return ""
     left = sorted(after ^ before)
@@ -76,7 +76,7 @@ def _listing(place: Path) -> set[str]:
     return {f"{path.relative_to(place)}" for path in place.rglob("*")}
 
 
-def _command(given: Given) -> int:
+def _command(given: CommandLine) -> int:
     """`bojax` with these words; unless the case says otherwise it stops where the engine would start."""
     if given.stops:
         import bojax.engine.run
@@ -108,7 +108,7 @@ def _trace(sweep: Any) -> int:
     return 0
 
 
-def _setting(draw: random.Random, place: Path) -> Given:
+def _setting(draw: random.Random, place: Path) -> CommandLine:
     """One setting of a shipped config, any that its schema has, with an odd value in the file."""
     name, tree = _experiment(draw)
     path = draw.choice(paths(tree))
@@ -116,10 +116,10 @@ def _setting(draw: random.Random, place: Path) -> Given:
     assign(tree, path, _HERE)
     _write(place, _dump(tree).replace(_HERE, snippet))
     dotted = ".".join(map(str, path))
-    return Given(f"{name} with {dotted}: {shown(snippet)}", ("run", "case.yaml"), is_bad)
+    return CommandLine(f"{name} with {dotted}: {shown(snippet)}", ("run", "case.yaml"), is_bad)
 
 
-def _override(draw: random.Random, place: Path) -> Given:
+def _override(draw: random.Random, place: Path) -> CommandLine:
     """The same on the command line, and with a key that may be misspelt."""
     name, tree = _experiment(draw)
     path = draw.choice([path for path in paths(tree) if all(isinstance(part, str) for part in path)])
@@ -128,10 +128,10 @@ def _override(draw: random.Random, place: Path) -> Given:
     key = ".".join(path)
     if draw.random() < 0.3:
         key, is_bad = _misspelt(draw, key), False
-    return Given(f"{name} {key}={shown(snippet)}", ("run", name, f"{key}={snippet}"), is_bad)
+    return CommandLine(f"{name} {key}={shown(snippet)}", ("run", name, f"{key}={snippet}"), is_bad)
 
 
-def _parts(draw: random.Random, place: Path) -> Given:
+def _parts(draw: random.Random, place: Path) -> CommandLine:
     """A part in place of another one, which may not fit the others."""
     from bojax.config.component import registry
 
@@ -144,10 +144,10 @@ def _parts(draw: random.Random, place: Path) -> Given:
     if draw.random() < 0.5:
         other = draw.choice(("env", "planner", "learner", "problem"))
         words.append(f"{other}={draw.choice(sorted(registry[other]))}")
-    return Given(f"{name} {' '.join(words)}", ("run", name, *words), traces=True)
+    return CommandLine(f"{name} {' '.join(words)}", ("run", name, *words), traces=True)
 
 
-def _fitting(draw: random.Random, place: Path) -> Given:
+def _fitting(draw: random.Random, place: Path) -> CommandLine:
     """A planner and a problem, or a learner and an environment, that may not fit."""
     from bojax.config.component import registry
 
@@ -155,7 +155,7 @@ def _fitting(draw: random.Random, place: Path) -> Given:
     words = [f"{role}={draw.choice(sorted(registry[role]))}" for role in pairs]
     extra = draw.choice(_EXTRAS)
     words += [extra] if extra else []
-    return Given(f"{base} {' '.join(words)}", ("run", base, *words), traces=True)
+    return CommandLine(f"{base} {' '.join(words)}", ("run", base, *words), traces=True)
 
 
 _EXTRAS = (
@@ -171,7 +171,7 @@ _EXTRAS = (
 """Settings that fit some planners and learners."""
 
 
-def _structure(draw: random.Random, place: Path) -> Given:
+def _structure(draw: random.Random, place: Path) -> CommandLine:
     """Keys that are unknown, misspelt, missing, twice there, or no names."""
     name, tree = _experiment(draw)
     path = draw.choice([path for path in paths(tree) if isinstance(path[-1], str)])
@@ -193,7 +193,7 @@ def _structure(draw: random.Random, place: Path) -> Given:
     changes.get(change, lambda: None)()
     _write(place, texts.get(change, str)(_dump(tree)))
     is_bad = change in ("unknown", "many", *texts)
-    return Given(f"{name}: key {change} at {'.'.join(map(str, path))}", ("run", "case.yaml"), is_bad)
+    return CommandLine(f"{name}: key {change} at {'.'.join(map(str, path))}", ("run", "case.yaml"), is_bad)
 
 
 _ODD_KEYS = (
@@ -203,7 +203,7 @@ _ODD_KEYS = (
 """Lines with a key that is no name of a setting."""
 
 
-def _sweep(draw: random.Random, place: Path) -> Given:
+def _sweep(draw: random.Random, place: Path) -> CommandLine:
     """A shipped sweep with an odd value in its axes, claims, report or base."""
     name = draw.choice(_names("sweeps"))
     tree = copy.deepcopy(_tree(name))
@@ -234,7 +234,7 @@ def _sweep(draw: random.Random, place: Path) -> Given:
         tried += "" if change == "large" else f" in {shown(str(axes[change]))}"
     _write(place, _dump(tree).replace(_HERE, snippet))
     # Titles, notes and numbers of the thesis are free.
-    return Given(f"sweep {name}: {tried}", ("sweep", "case.yaml"), is_bad and change == "combine")
+    return CommandLine(f"sweep {name}: {tried}", ("sweep", "case.yaml"), is_bad and change == "combine")
 
 
 _AXES = ("planner.iterations", "problem", "runs", "", "a..b", "planner", "seed", "env.x")
@@ -245,16 +245,16 @@ _LARGE_AXES = (
 _VARIANTS = ("a/b", "", " ", "\x1b[31m", "n" * 300, "é", "..", "$\\unknowncmd$", "a\nb", 1, None, True)
 
 
-def _alias(draw: random.Random, place: Path) -> Given:
+def _alias(draw: random.Random, place: Path) -> CommandLine:
     """A sweep that stands for another one, or for nothing."""
     value = draw.choice(["case", "case.yaml", "no-such", "3", "[a]", "{a: 1}", "''", "..", "/", "parking"])
     more = draw.choice(["", "runs: 3\n"])
     _write(place, f"alias: {value}\n{more}")
     words = draw.choice(["sweep", "run"]), "case.yaml"
-    return Given(f"alias: {value} {more.strip()}", words, value != "parking")
+    return CommandLine(f"alias: {value} {more.strip()}", words, value != "parking")
 
 
-def _bytes(draw: random.Random, place: Path) -> Given:
+def _bytes(draw: random.Random, place: Path) -> CommandLine:
     """The text of a shipped file, damaged."""
     folder = draw.choice(["configs", "sweeps"])
     name = draw.choice(_names(folder))
@@ -269,7 +269,7 @@ def _bytes(draw: random.Random, place: Path) -> Given:
     (place / "case.yaml").write_bytes(content)
     is_bad = change in ("utf-16", "utf-16 bare", "latin-1", "twice", "documents", "emptied", "blank")
     is_bad = is_bad or change.endswith("noise")
-    return Given(f"{name}: {change}", ("run" if folder == "configs" else "sweep", "case.yaml"), is_bad)
+    return CommandLine(f"{name}: {change}", ("run" if folder == "configs" else "sweep", "case.yaml"), is_bad)
 
 
 def _indented(draw: random.Random, content: bytes) -> bytes:
@@ -301,7 +301,7 @@ _INSERTED = {
 }
 
 
-def _bomb(draw: random.Random, place: Path) -> Given:
+def _bomb(draw: random.Random, place: Path) -> CommandLine:
     """A short text that stands for a large value."""
     levels, width = draw.choice([(3, 9), (6, 9), (9, 9), (10, 10), (30, 2), (100, 2)])
     style = draw.choice([*_BOMBS, "deep", "deep mappings", "keys"])
@@ -320,7 +320,9 @@ def _bomb(draw: random.Random, place: Path) -> Given:
         if style == "merged lists":
             lines.append(f"z: {{<<: *a{levels - 1}}}")
     _write(place, "\n".join(lines) + "\n")
-    return Given(f"{style}, {levels} levels of {width}", (draw.choice(["run", "sweep"]), "case.yaml"), True)
+    return CommandLine(
+        f"{style}, {levels} levels of {width}", (draw.choice(["run", "sweep"]), "case.yaml"), True
+    )
 
 
 _BOMBS = {
@@ -332,20 +334,20 @@ _BOMBS = {
 """The first level of a bomb, and an entry and the form of the next ones."""
 
 
-def _no_file(draw: random.Random, place: Path) -> Given:
+def _no_file(draw: random.Random, place: Path) -> CommandLine:
     """Something that is no regular file, or a name of no file."""
     path = place / "case.yaml"
     if draw.random() < 0.3:
         word = draw.choice(_NO_NAMES)
-        return Given(f"file {shown(word)}", (draw.choice(["run", "sweep"]), word), word != "-")
+        return CommandLine(f"file {shown(word)}", (draw.choice(["run", "sweep"]), word), word != "-")
     kind = draw.choice(list(NO_FILES))
     NO_FILES[kind](path)
     if draw.random() < 0.3:
         (place / "configs").mkdir()
         if os.path.lexists(path):
             path.rename(place / "configs" / "parking.yaml")
-        return Given(f"{kind} in configs/", draw.choice([("list",), ("run", "parking")]))
-    return Given(f"{kind} as a file", (draw.choice(["run", "sweep"]), "case.yaml"), True)
+        return CommandLine(f"{kind} in configs/", draw.choice([("list",), ("run", "parking")]))
+    return CommandLine(f"{kind} as a file", (draw.choice(["run", "sweep"]), "case.yaml"), True)
 
 
 _NO_NAMES = (
@@ -354,14 +356,14 @@ _NO_NAMES = (
 )
 
 
-def _data(draw: random.Random, place: Path) -> Given:
+def _data(draw: random.Random, place: Path) -> CommandLine:
     """A field from a file of numbers that is damaged, or not what its name says."""
     kind = draw.choice(["grid", "scattered"])
     name, tried, is_bad = draw.choice([_npy, _npy, _csv, _csv, _no_data])(draw, place)
     extent = draw.choice(["[0, 0, 6, 6]"] * 5 + ["[0, 0, 0, 0]", "[6, 6, 0, 0]", "[0, 0]", "[.nan, 0, 1, 1]"])
     is_bad = is_bad or extent != "[0, 0, 6, 6]"
     _write(place, f"problem: {{kind: monitoring, field: {{kind: {kind}, file: {name}, extent: {extent}}}}}\n")
-    return Given(f"{kind} field {name}: {tried}, extent {extent}", ("run", "case.yaml"), is_bad)
+    return CommandLine(f"{kind} field {name}: {tried}, extent {extent}", ("run", "case.yaml"), is_bad)
 
 
 _GOOD = np.arange(12.0).reshape(4, 3)
@@ -448,7 +450,7 @@ def _no_data(draw: random.Random, place: Path) -> tuple[str, str, bool]:
     return names.get(change, path.name), change, True
 
 
-def _arguments(draw: random.Random, place: Path) -> Given:
+def _arguments(draw: random.Random, place: Path) -> CommandLine:
     """Options and words of the command line."""
     number = draw.choice(_NUMBERS)
     lines = [line.split() for line in listed(_COMMANDS)]
@@ -456,7 +458,7 @@ def _arguments(draw: random.Random, place: Path) -> Given:
     lines += [["run", "parking", "problem=" + "n" * 300], ["run", "two-pits", f"problem.walls={_WALLS}"]]
     lines += [[command, "n" * 300] for command in ("list", "report", "render")] + [["list", "\x1b[31m"]]
     words = [word.replace("@", number).replace("\0", "") for word in draw.choice(lines)]
-    return Given("bojax " + " ".join(map(shown, words)), tuple(words))
+    return CommandLine("bojax " + " ".join(map(shown, words)), tuple(words))
 
 
 _NUMBERS = (
@@ -491,7 +493,7 @@ _WORDS = (
 """Overrides of the chain that are odd as words."""
 
 
-def _places(draw: random.Random, place: Path) -> Given:
+def _places(draw: random.Random, place: Path) -> CommandLine:
     """Results in an odd place; these run, since the place is only then made."""
     out = draw.choice(_OUTS)
     (place / "file").write_text("x")
@@ -502,7 +504,7 @@ def _places(draw: random.Random, place: Path) -> Given:
         NO_FILES[kind](place / name)
     more = ("--resume",) if draw.random() < 0.3 else ()
     words = ("run", "chain", "--runs", "1", "episodes=1", f"--out={out}", *more)
-    return Given(f"--out={out[:40]} {' '.join(more)}", words, stops=False)
+    return CommandLine(f"--out={out[:40]} {' '.join(more)}", words, stops=False)
 
 
 _OUTS = (
@@ -544,7 +546,7 @@ _MODULES = {
 """User's modules that go wrong when they are imported or used."""
 
 
-def _module(draw: random.Random, place: Path) -> Given:
+def _module(draw: random.Random, place: Path) -> CommandLine:
     """A part of the user's own, from a module that goes wrong."""
     change, role = draw.choice(list(_MODULES)), draw.choice(sorted(_BASES))
     module, base, config = _BASES[role]
@@ -555,7 +557,7 @@ def _module(draw: random.Random, place: Path) -> Given:
     path = draw.choice(["mine:Thing"] * 6 + others)
     params = draw.choice([(), (), (f"{role}.x=1",), (f"{role}.x=text",)])
     words = ("run", config, f"{role}={path}", *params)
-    return Given(f"{' '.join(words[1:])}, module: {change}", words, True)
+    return CommandLine(f"{' '.join(words[1:])}, module: {change}", words, True)
 
 
 _BASES = {
@@ -566,13 +568,13 @@ _BASES = {
 }
 
 
-def _gymnasium(draw: random.Random, place: Path) -> Given:
+def _gymnasium(draw: random.Random, place: Path) -> CommandLine:
     """A Gymnasium environment that is not there, or goes wrong when it is made."""
     change = draw.choice([*_GYMS, "id"])
     (place / "gymmine.py").write_text(_GYMS.get(change, ""))
     name = "gymmine:Mine-v0" if change != "id" else draw.choice(_GYM_IDS)
     words = ("run", "mountain-car", f"env={{kind: gymnasium, id: '{name}', max_steps: 5}}")
-    return Given(f"gymnasium id {name[:40]!r}, {change}", words, True)
+    return CommandLine(f"gymnasium id {name[:40]!r}, {change}", words, True)
 
 
 _GYM = """import gymnasium
@@ -588,7 +590,7 @@ _GYM_IDS = listed("no-such  NoSuch-v0  gymmine:  no_such:X-v0  a:b:c  CartPole-v
 _GYM_IDS += ("", "\x1b[31m", "x" * 5000)
 
 
-FAMILIES: dict[Callable[[random.Random, Path], Given], int] = {
+FAMILIES: dict[Callable[[random.Random, Path], CommandLine], int] = {
     **{_setting: 20, _override: 14, _parts: 5, _fitting: 8, _structure: 9, _sweep: 12, _alias: 1, _bytes: 10},
     **{_bomb: 4, _no_file: 4, _data: 10, _arguments: 10, _places: 4, _module: 6, _gymnasium: 3},
 }

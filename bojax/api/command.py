@@ -25,7 +25,7 @@ _OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 
 
 @dataclass(frozen=True)
-class Ended:
+class CommandResult:
     """How a command ended."""
 
     code: int  # exit code; negative for a signal that ended the process
@@ -82,7 +82,7 @@ class Output:
             self._bar.__exit__(None, None, None)
 
 
-def run_here(words: Sequence[str], config: str | None) -> Ended:
+def run_here(words: Sequence[str], config: str | None) -> CommandResult:
     """Run `bojax WORDS` in this process; JAX's flags are restored afterwards.
 
     The command reads the YAML `config` from standard input. A second Ctrl-C does not end the process, which
@@ -105,7 +105,7 @@ def run_here(words: Sequence[str], config: str | None) -> Ended:
         code = 128 + signal.SIGINT
     finally:
         sys.stdin = stdin
-    return Ended(code, shown.text.splitlines())
+    return CommandResult(code, shown.text.splitlines())
 
 
 class _Shown:
@@ -122,7 +122,7 @@ class _Shown:
         return self._stream.write(text)
 
 
-def run_in_child(words: Sequence[str], config: str | None) -> Ended:
+def run_in_child(words: Sequence[str], config: str | None) -> CommandResult:
     """Run `bojax WORDS` in a process of its own.
 
     It reads the YAML `config` from standard input. The first KeyboardInterrupt stops the sweep at a
@@ -148,7 +148,7 @@ def run_in_child(words: Sequence[str], config: str | None) -> Ended:
                 try:
                     for line in process.stdout:
                         output.take(line.decode(errors="backslashreplace").rstrip("\n"))
-                    return Ended(process.wait(), output.lines)
+                    return CommandResult(process.wait(), output.lines)
                 except KeyboardInterrupt:
                     process.send_signal(signal.SIGINT)
         finally:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from typing_extensions import override
 
 from bojax.api.errors import BojaxError, in_one_line
-from bojax.api.given import path_of
+from bojax.api.plain_values import path_of
 from bojax.config.errors import allowed_names
 from bojax.config.figures import figure_modules
 from bojax.config.yaml_file import read_mapping

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from bojax.api.command import run_here, run_in_child
 from bojax.api.errors import BojaxError, Interrupted, in_one_line
-from bojax.api.given import Values, path_of
+from bojax.api.plain_values import PlainValues, path_of
 from bojax.api.results import Results, TuningResults, load
 from bojax.config.errors import ConfigError, shown
 from bojax.config.files import STANDARD_INPUT
@@ -20,14 +20,14 @@ from bojax.results.folder import is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST
 from bojax.tuning.ranges import split_ranges
 
-Given = str | os.PathLike[str] | Mapping[str, Any]
+ConfigSource = str | os.PathLike[str] | Mapping[str, Any]
 """A name, the path of a YAML file, or the content of one."""
 
 Folder = str | os.PathLike[str]
 
 
 def run(
-    config: Given,
+    config: ConfigSource,
     /,
     *,
     runs: int | None = None,
@@ -62,7 +62,7 @@ def run(
 
 
 def sweep(
-    sweep: Given,
+    sweep: ConfigSource,
     /,
     *,
     runs: int | None = None,
@@ -84,7 +84,7 @@ def sweep(
 
 
 def tune(
-    config: Given,
+    config: ConfigSource,
     ranges: Mapping[str, Sequence[Any]],
     /,
     *,
@@ -131,7 +131,7 @@ def tune(
 
 def _start(
     command: Literal["run", "sweep", "tune"],
-    given: Given,
+    given: ConfigSource,
     options: Mapping[str, Any],
     out: Folder | None,
     resume: bool,
@@ -139,7 +139,7 @@ def _start(
     ranges: Mapping[str, Sequence[Any]] | None = None,
 ) -> Path:
     """Run a command with options and settings, and return its results folder."""
-    values = Values()
+    values = PlainValues()
     with in_one_line():
         options = {name: values.number(value, name) for name, value in options.items() if value is not None}
         if isinstance(given, Mapping):
@@ -185,7 +185,7 @@ def _start(
     raise BojaxError(f"{reason}; {advice}", "\n".join(ended.lines))
 
 
-def _range(key: str, bounds: Any, values: Values) -> str:
+def _range(key: str, bounds: Any, values: PlainValues) -> str:
     """A range or choices as a word of the command line: `key=low:high`, `key=low:high:log` or `key=a,b`."""
     given = values.number(bounds, key)
     if isinstance(bounds, list):
@@ -206,7 +206,7 @@ def _range(key: str, bounds: Any, values: Values) -> str:
 
 def _call(
     command: str,
-    given: Given,
+    given: ConfigSource,
     ranges: Mapping[str, Any] | None,
     options: Mapping[str, Any],
     settings: Mapping[str, Any],

@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from bojax.api.command import run_in_child
 from bojax.api.errors import BojaxError, in_one_line
-from bojax.api.given import path_of
+from bojax.api.plain_values import path_of
 from bojax.api.start import Folder
 from bojax.report.surveying import SURVEY, survey_summary
 from bojax.results.folder import dated_folder, require_empty

@@ -25,7 +25,8 @@ from jax.stages import Compiled
 
 from bojax.engine.devices import Device, prepare
 from bojax.engine.errors import EngineError
-from bojax.engine.program_cache import Program, folder_of
+from bojax.engine.program import Program
+from bojax.engine.program_cache import folder_of
 from bojax.engine.xla_choices import XLA_FOLDER, measured, shipped, write, xla_folder
 from bojax.errors import FAILURE
 from bojax.results.store import make_folder, publish_checked_json, read_checked_json
@@ -127,11 +128,6 @@ class Choices:
         news = {name: news[name] for name in news if name not in self._published}
         self._published.update(news)
         return news
-
-
-def programs_in(folder: Path) -> dict[str, str]:
-    """The hashes of the programs of a plan, by name, as in `manifest.json`."""
-    return {path.stem: read_checked_json(path)["program"][:16] for path in sorted(folder.glob("[!.]*.json"))}
 
 
 def fingerprint(made: Readable) -> str:

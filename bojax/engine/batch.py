@@ -21,7 +21,8 @@ from bojax.engine import executables, program_cache
 from bojax.engine.autotuning import Choices, compile_again, contents_of
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup, nodes_with
-from bojax.engine.program_cache import FOUND, GAINS, WRITTEN, Loaded, Program, Traced
+from bojax.engine.program import GAINS, Program
+from bojax.engine.program_cache import FOUND, WRITTEN, Loaded, Traced
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
 from bojax.engine.xla_choices import offer_shipped
 from bojax.experiments.base import Carry, Experiment, Records

@@ -18,6 +18,7 @@ from jax.stages import Compiled
 
 from bojax.engine import program_cache
 from bojax.engine.devices import Device
+from bojax.engine.program import initialize_lapack
 from bojax.engine.program_cache import EXECUTABLES, Loaded
 
 _FAST = 1
@@ -45,7 +46,7 @@ def load(key: str | None, device: Device) -> Loaded | None:
     if content is None:
         return None
     if device.platform == "cpu":
-        program_cache.initialize_lapack()
+        initialize_lapack()
     try:
         saved, carry, contents = pickle.loads(zlib.decompress(content))
         programs = {

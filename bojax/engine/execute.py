@@ -125,7 +125,7 @@ class _Executor:
         self._processes.close()
 
     def _compile_ahead(self) -> None:
-        for key in self._scheduler.ahead():
+        for key in self._scheduler.to_compile_ahead():
             self._compiler.request(key)
 
     def _compile(self, key: ProgramKey) -> Programs:

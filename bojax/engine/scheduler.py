@@ -60,7 +60,7 @@ class Scheduler:
         """The device for which a group is compiled first."""
         return self._rotated(task)[0]
 
-    def ahead(self) -> list[ProgramKey]:
+    def to_compile_ahead(self) -> list[ProgramKey]:
         """The programs to compile now, those of the first unfinished groups, which may be requested already.
 
         They are spread over the devices of each platform. Programs that an earlier sweep has saved are loaded

@@ -9,7 +9,6 @@ import threading
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from typing_extensions import override
 
@@ -22,11 +21,8 @@ from bojax.engine.sinks import FolderSink, MemorySink, Sink
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.folder import Launch, RunFolder
-from bojax.results.store import ResultsError, read_json, write_content, write_json
+from bojax.results.store import ResultsError, write_content
 from bojax.text import error_line
-
-COMPILED = "compiled-{}.json"
-"""Name of the file that holds a process's seconds of compilation, by index of the group."""
 
 
 class Storage(abc.ABC):
@@ -148,15 +144,4 @@ class FolderStorage(Storage):
         # On a full disk, the sink that writes rows reports the error; compile times are not worth a failure.
         with self._lock, contextlib.suppress(ResultsError):
             self._compiled[group.index] += seconds
-            path = self.folder.work / COMPILED.format(self._owner)
-            write_json(path, dict(self._compiled), durably=False)
-
-
-def compile_seconds(work: Path) -> dict[str, float]:
-    """Seconds of compilation of all processes that have worked in a folder, by index of the group."""
-    total: dict[str, float] = defaultdict(float)
-    for path in work.glob(COMPILED.format("*")):
-        with contextlib.suppress(ResultsError, ValueError, TypeError, AttributeError):  # a damaged file
-            for group, seconds in read_json(path).items():
-                total[group] += float(seconds)
-    return total
+            self.folder.note_compiled(self._owner, self._compiled)

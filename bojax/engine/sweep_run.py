@@ -10,7 +10,6 @@ from typing import Any
 
 from bojax.config.errors import printable
 from bojax.config.saved_sweep import saved
-from bojax.engine.autotuning import programs_in
 from bojax.engine.chunks import Chunk
 from bojax.engine.groups import StaticGroup
 from bojax.engine.learners import merge_learners
@@ -18,7 +17,7 @@ from bojax.engine.manifest import describe_chunk, describe_groups, describe_swee
 from bojax.engine.plan import Plan, plain
 from bojax.engine.progress import GroupProgress
 from bojax.engine.signals import StopRequest
-from bojax.engine.storage import FolderStorage, compile_seconds
+from bojax.engine.storage import FolderStorage
 from bojax.engine.targets import Target
 from bojax.errors import FAILURE
 from bojax.results.attempts import AttemptRegistry
@@ -144,7 +143,7 @@ class SweepRun:
         nans: dict[str, int] = {}
         for (point, _), count in sorted(merged.nans.items()) if merged else ():
             nans[str(point)] = nans.get(str(point), 0) + count
-        compiled = compile_seconds(self.folder.work)
+        compiled = self.folder.compile_seconds()
         facts = [self._facts(group, compiled.get(str(group.index), 0.0)) for group in plan.groups]
         manifest = {
             **describe_sweep(plan.sweep, plan.content, self._outlines, self._command, status),
@@ -152,7 +151,7 @@ class SweepRun:
             "times": self._times,
             "groups": describe_groups(facts, states),
             "chunks": [describe_chunk(*state, errors.get(state[0].index)) for state in states],
-            "programs": programs_in(self.folder.choices),
+            "programs": self.folder.programs(),
             "nans": nans,
             "sha256": merged.sha256 if merged else {},
         }

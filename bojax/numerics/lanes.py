@@ -42,9 +42,9 @@ def in_own_kernel(flag: Bool[Array, "..."], turn: Int[Array, ""]) -> Bool[Array,
         flag: Whether the loop goes on.
         turn: Number of the turn, from 0.
     """
-    # With one lane, a flag of the carry is the condition, and there is nothing to compute. As a part of a CUDA
-    # graph, XLA then reads it too early: the kernel that reads a condition waits for those that compute it, and
-    # for nothing else (JAX 0.11.2). XLA does not know that a turn is never negative.
+    # With one lane, the flag of the carry is the condition, and nothing is left to compute. In a CUDA graph,
+    # XLA (of JAX 0.11.2) would then read it too early: the kernel that reads a condition waits only for those
+    # that compute it. XLA does not know that a turn is never negative, so the comparison stays.
     return flag & (turn >= 0)
 
 

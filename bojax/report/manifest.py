@@ -25,7 +25,7 @@ from bojax.results.store import ResultsError
 
 Count = Annotated[int, Field(ge=0, lt=2**53)]
 Pair = Annotated[list[Any], Field(min_length=2, max_length=2)]
-Share = Annotated[float, Field(ge=0, le=1)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 T = TypeVar("T")

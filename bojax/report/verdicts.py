@@ -10,7 +10,7 @@ from pydantic import Field
 from bojax.config.claims import EntryClass
 from bojax.config.errors import printable, say
 from bojax.report.findings import FailureCause, Verdict
-from bojax.report.manifest import Bounds, Count, Recorded, Share, validated
+from bojax.report.manifest import Bounds, Count, Fraction, Recorded, validated
 from bojax.report.statistics import Interval
 from bojax.report.text import MISSING, counted, joined, percent, plain
 from bojax.results.store import read_json
@@ -62,7 +62,7 @@ class TestedClaim(Recorded):
     interval: Bounds | None
     runs: Count
     verdict: Verdict
-    share: Share | None = None  # of the configurations of a multiverse in which the claim holds
+    share: Fraction | None = None  # of the configurations of a multiverse in which the claim holds
     configurations: Count | None = None
     test: TestEntry
 

@@ -1,10 +1,12 @@
 """The results folder of a sweep: choosing, creating, locking and resuming it without overwriting results."""
 
+import contextlib
 import os
 import secrets
 import shutil
 import socket
 import time
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,9 +19,11 @@ from bojax.results.store import (
     explained,
     publish_checked_json,
     read_checked_json,
+    read_json,
     read_manifest,
     sync,
     write_checked_json,
+    write_json,
 )
 
 ROOT = Path("results")
@@ -27,6 +31,7 @@ _PLAN = "plan.json"
 _LAUNCH = "launch.json"
 _DEVICE = "device.json"
 _LOCK = "lock"
+_COMPILED = "compiled-{}.json"  # for each process
 _DONE = f"{WORK}-done"
 _ASKED_FOR = ("runs", "seed", "record", "config", "points")
 """Keys of a plan that define the runs; the others describe the code, the versions and the device."""
@@ -167,6 +172,24 @@ class RunFolder:
             return Launch(**read_checked_json(path))
         except (ResultsError, TypeError) as error:
             raise ResultsError(f"{path}: missing or damaged; start the sweep again with --resume") from error
+
+    def note_compiled(self, process: str, seconds: Mapping[int, float]) -> None:
+        """Write the seconds that a process has spent on compiling each group."""
+        write_json(self.work / _COMPILED.format(process), dict(seconds), durably=False)
+
+    def compile_seconds(self) -> dict[str, float]:
+        """Seconds of compilation of all processes, by index of the group."""
+        total: dict[str, float] = defaultdict(float)
+        for path in self.work.glob(_COMPILED.format("*")):
+            with contextlib.suppress(ResultsError, ValueError, TypeError, AttributeError):  # a damaged file
+                for group, seconds in read_json(path).items():
+                    total[group] += float(seconds)
+        return total
+
+    def programs(self) -> dict[str, str]:
+        """The hashes of the programs of the plan, by name, as in `manifest.json`."""
+        paths = sorted(self.choices.glob("[!.]*.json"))
+        return {path.stem: read_checked_json(path)["program"][:16] for path in paths}
 
     def close(self, *, finished: bool) -> None:
         """Release the folder; delete the working files of a finished sweep."""

@@ -12,11 +12,12 @@ import pytest
 
 from bojax.config.sweep import load_config
 from bojax.engine import autotuning, batch
-from bojax.engine.autotuning import Choices, compile_again, fingerprint, programs_in
+from bojax.engine.autotuning import Choices, compile_again, fingerprint
 from bojax.engine.errors import EngineError
-from bojax.engine.program_cache import Program
+from bojax.engine.program import Program
 from bojax.engine.storage import FolderStorage
 from bojax.engine.xla_choices import XLA_FOLDER
+from bojax.results.folder import RunFolder
 from bojax.results.store import ResultsError, read_checked_json, read_manifest
 from tests.engine.drive import run_sweep, run_toy
 from tests.engine.test_program_cache import caching_in
@@ -189,14 +190,16 @@ def test_a_program_that_cannot_be_exported_is_compiled_as_it_was_traced(call):
 
 def test_programs_that_move_numbers_have_no_choices(tmp_path):
     made = Made("copy")
+    folder = RunFolder(tmp_path)
     for name in ("empty", "select", "recorded"):
-        assert Choices(tmp_path / "plan").settle(f"0-8-{name}", made, never) is made
-    assert not (tmp_path / "plan").exists() and programs_in(tmp_path / "plan") == {}
+        assert Choices(folder.choices).settle(f"0-8-{name}", made, never) is made
+    assert not folder.choices.exists() and folder.programs() == {}
 
 
 def test_a_damaged_file_is_an_error_that_names_it(tmp_path):
-    Choices(tmp_path / "plan").settle("0-8-advance", Made("tile 8"), never)
-    assert set(programs_in(tmp_path / "plan")) == {"0-8-advance"}
-    (tmp_path / "plan" / "0-8-advance.json").write_text("{}")
+    folder = RunFolder(tmp_path)
+    Choices(folder.choices).settle("0-8-advance", Made("tile 8"), never)
+    assert set(folder.programs()) == {"0-8-advance"}
+    (folder.choices / "0-8-advance.json").write_text("{}")
     with pytest.raises(ResultsError, match=r"0-8-advance\.json"):
-        Choices(tmp_path / "plan").offer()
+        Choices(folder.choices).offer()

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from bojax.engine import autotuning, batch, executables, program_cache
-from bojax.engine.autotuning import Choices, contents_of, programs_in
+from bojax.engine.autotuning import Choices, contents_of
 from bojax.engine.batch import Programs
-from bojax.engine.program_cache import EXECUTABLES, Program
+from bojax.engine.program import Program
+from bojax.engine.program_cache import EXECUTABLES
+from bojax.results.folder import RunFolder
 from tests.engine.test_program_cache import (
     DEVICE,
     advanced,
@@ -130,14 +132,14 @@ def test_programs_that_jax_has_kept_are_not_written_again(cache):
 
 def test_the_hashes_of_a_plan_are_saved_with_the_programs(tmp_path, monkeypatch):
     key = key_of(group_of())
-    plans = [Choices(tmp_path / name) for name in ("first", "second")]
-    for plan in plans:
+    folders = [RunFolder(tmp_path / name) for name in ("first", "second")]
+    for plan in (Choices(folder.choices) for folder in folders):
         Programs(batch.Functions(group_of()), DEVICE, 3, 0, recorded=0, choices=plan)
         monkeypatch.setattr(autotuning, "fingerprint", lambda _: pytest.fail("hashed again"))
     monkeypatch.undo()
     loaded = executables.load(key, DEVICE)
     assert loaded is not None and loaded.contents == contents_of(loaded.programs)
-    published = [programs_in(plan.folder) for plan in plans]
+    published = [folder.programs() for folder in folders]
     assert published[0] == published[1]
     assert published[0]["0-3-advance"] == loaded.contents["advance"][:16]
     program = loaded.traced("advance")

@@ -18,15 +18,15 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from bojax.config.sweep import load_config, load_sweep
-from bojax.engine import batch, devices, program_cache
+from bojax.engine import batch, devices, program, program_cache
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.chunks import SHORTEST_ON_CPU
 from bojax.engine.groups import static_groups
-from bojax.engine.program_cache import EXECUTABLES, GAINS_FROM_GRAPHS, GAINS_FROM_PASSES
+from bojax.engine.program import GAINS_FROM_GRAPHS, GAINS_FROM_PASSES, Program
+from bojax.engine.program_cache import EXECUTABLES
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
-from bojax.numerics.lanes import LANES, any_lane
 from tests.engine.drive import run_sweep
 from tests.tiers import by_tier
 from tests.toy import toy
@@ -253,7 +253,7 @@ print(carry[0].shape, *factor(np.asarray([[4, 2], [2, 5]], np.float32)).tolist()
 
 def test_a_factorisation_is_loaded_by_a_process_that_has_traced_none(cache):
     matrix = jax.ShapeDtypeStruct((2, 2), np.float32)
-    program = program_cache.Program.of_trees(jax.numpy.linalg.cholesky, matrix).export(DEVICE)
+    program = Program.of_trees(jax.numpy.linalg.cholesky, matrix).export(DEVICE)
     program_cache.compiled("key", "factor", program, DEVICE)
     assert program_cache.save_program("key", "factor", program) and program_cache.save("key", ["factor"], 1)
     command = [sys.executable, "-c", IN_ANOTHER_PROCESS, str(cache.parent)]
@@ -414,95 +414,25 @@ def test_several_devices_trace_a_program_once(cache, monkeypatch, tmp_path):
 
     both = threading.Barrier(len(devices), timeout=60.0)  # each device takes a chunk
     monkeypatch.setattr(ChunkRunner, "advance", noted)
-    exported, export = [], program_cache.Program.export
-    monkeypatch.setattr(
-        program_cache.Program, "export", lambda *given: [exported.append(given), export(*given)][1]
-    )
+    exported, export = [], Program.export
+    monkeypatch.setattr(Program, "export", lambda *given: [exported.append(given), export(*given)][1])
     sweep = load_config("chain", ["episodes=2", "engine.device=cpu"], 2 * SHORTEST_ON_CPU, None)
     assert run_sweep(sweep, tmp_path / "chain", devices=[0, 1]) == 0
     assert len(used) == len(devices) == 2
     assert len(exported) == len(programs_in(cache))
 
 
-def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_of_the_user(monkeypatch):
-    given, of_trees = [], program_cache.Program.of_trees
-    quick, gains = (
-        of_trees(lambda x: x + 1, np.zeros(2), gains=gains) for gains in ([], [GAINS_FROM_PASSES])
-    )
-    made, saved = quick.compile("two", DEVICE), gains.export(DEVICE).serialized()
-    monkeypatch.setattr(jax.stages.Lowered, "compile", lambda _, options: given.append(options) or made)
-    monkeypatch.delenv("XLA_FLAGS", raising=False)
-    for program in (quick, gains, program_cache.Program.deserialized(saved)):
-        program.compile("two", DEVICE)
-    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=3")
-    quick.compile("two", DEVICE)
-    assert all(options.pop("xla_llvm_disable_expensive_passes") for options in given)
-    assert given == [*({"xla_backend_optimization_level": level} for level in (1, 3, 3)), {}]
-
-
-@pytest.mark.parametrize("by_user", [False, True])
-@pytest.mark.parametrize("num_lanes", [1, 2])
-def test_a_loop_on_a_flag_of_its_carry_is_no_graph(monkeypatch, num_lanes, by_user):
-    """In XLA, the kernel that reads such a condition of a graph does not wait for what has computed it."""
-
-    def halved(x):
-        def halve(carry):
-            return carry[0] / 2, carry[0] > 4
-
-        return jax.lax.while_loop(lambda carry: any_lane(carry[1]), halve, (x, x > 2))[0]
-
-    numbers = np.full(num_lanes, 40.0)
-    program = program_cache.Program.of_trees(jax.vmap(halved, axis_name=LANES), numbers)
-    given, compile_ = [], jax.stages.Lowered.compile
-    graphs = "xla_gpu_enable_command_buffer"
-    if by_user:
-        monkeypatch.setenv("XLA_FLAGS", f"--{graphs}=+WHILE")
-    monkeypatch.setattr(program_cache, "_options", lambda *_: {} if by_user else {graphs: "FUSION,WHILE"})
-    monkeypatch.setattr(
-        jax.stages.Lowered, "compile", lambda self, options: [given.append(options), compile_(self)][1]
-    )
-    np.testing.assert_array_equal(program.compile("halved", DEVICE)(numbers), 1.25)
-    first, *again = ((options or {}).get(graphs, "") for options in given)
-    assert ("WHILE" in first) is not by_user
-    assert [set(value.split(",")) >= {"FUSION"} and "WHILE" not in value for value in again] == (
-        [True] if num_lanes == 1 else []
-    )
-
-
-def test_texts_of_programs_with_and_without_a_bare_condition():
-    def program(*conditions):
-        loops = "".join(
-            f"%region.{i}-clone (arg: (s32[], pred[])) -> pred[] {{\n"
-            "  %arg = (s32[], pred[]) parameter(0)\n"
-            f"  ROOT %root = pred[] {operation}(%arg), index=1\n}}\n\n"
-            for i, operation in enumerate(conditions)
-        )
-        whiles = "".join(
-            f"  %while.{i} = (s32[], pred[]) while(%tuple), condition=%region.{i}-clone, body=%body\n"
-            for i in range(len(conditions))
-        )
-        return f"HloModule jit_program\n\n{loops}ENTRY %main () -> s32[] {{\n{whiles}}}\n"
-
-    is_bare = program_cache._has_bare_condition
-    assert not is_bare(program())
-    assert not is_bare(program("fusion", "compare"))
-    assert is_bare(program("fusion", "get-tuple-element"))
-    assert is_bare(program("opt-barrier", "fusion"))  # unknown operations may be no kernels
-    assert is_bare("ENTRY %main () -> s32[] {\n  %w = s32[] while(%x), condition=%elsewhere, body=%b\n}\n")
-    assert is_bare(None)
-
-
 def test_a_program_that_is_compiled_twice_keeps_both_entries(tmp_path, monkeypatch):
-    monkeypatch.setattr(program_cache, "_has_bare_condition", lambda _: True)
+    monkeypatch.setattr(program, "_has_bare_condition", lambda _: True)
     graphs = {"xla_gpu_enable_command_buffer": "WHILE"}
-    monkeypatch.setattr(program_cache, "_options", lambda *_: dict(graphs))
-    program = program_cache.Program.of_trees(lambda x: jax.numpy.sin(x) + 1, np.zeros(3))
+    monkeypatch.setattr(program, "_options", lambda *_: dict(graphs))
+    made = Program.of_trees(lambda x: jax.numpy.sin(x) + 1, np.zeros(3))
     with caching_in(tmp_path):
         key = "0" * 64
-        first = [program_cache.compiled(key, "twice", program, DEVICE)[1] for _ in range(2)]
+        first = [program_cache.compiled(key, "twice", made, DEVICE)[1] for _ in range(2)]
         for entry in list(tmp_path.glob("jit_twice_*-cache"))[:1]:
             entry.unlink()
-        again = [program_cache.compiled(key, "twice", program, DEVICE)[1] for _ in range(2)]
+        again = [program_cache.compiled(key, "twice", made, DEVICE)[1] for _ in range(2)]
     both = {program_cache.FOUND, program_cache.WRITTEN}
     found = [sorted(events & both) for events in (*first, *again)]
     assert found == [[program_cache.WRITTEN], [program_cache.FOUND], sorted(both), [program_cache.FOUND]]

@@ -73,7 +73,7 @@ def test_the_longest_sweep_comes_first_and_in_it_the_longest_group(monkeypatch):
 def test_groups_run_in_their_order_as_soon_as_they_are_compiled():
     a, b = tasks = [Task("a", 2, 4), Task("b", 1, 4)]
     plan, programs = make(tasks, GPU)
-    assert named(plan.ahead()) == [("a", 0, 4), ("b", 0, 4)]
+    assert named(plan.to_compile_ahead()) == [("a", 0, 4), ("b", 0, 4)]
     assert plan.take(GPU) is None and not plan.is_over(GPU)
     programs.compile(b.key(GPU))
     assert taken(plan, GPU) == ("b", 0)  # the first group is not waited for
@@ -114,14 +114,14 @@ def test_programs_ahead_are_limited_and_spread_over_the_devices(monkeypatch):
     a, b, c, d = tasks = [Task(name, 3, 4, 2) for name in "abcd"]
     plan, programs = make(tasks, GPU, OTHER)
     first = [("a", 0, 4), ("a", 0, 2), ("b", 1, 4), ("b", 1, 2)]
-    assert named(plan.ahead()) == first
+    assert named(plan.to_compile_ahead()) == first
     a.chunks.clear()  # it has ended
-    assert named(plan.ahead()) == [*first[2:], ("c", 0, 4), ("c", 0, 2)]
+    assert named(plan.to_compile_ahead()) == [*first[2:], ("c", 0, 4), ("c", 0, 2)]
     # Saved programs are loaded on as many devices as there are chunks.
     for chunks, devices in ((3, [0, 1]), (1, [0])):
         saved = Task("saved", chunks, 4)
         plan, _ = make([saved], GPU, OTHER, saved=[saved])
-        assert named(plan.ahead()) == [("saved", device, 4) for device in devices]
+        assert named(plan.to_compile_ahead()) == [("saved", device, 4) for device in devices]
     assert c.chunks and d.chunks and not programs.requested
 
 

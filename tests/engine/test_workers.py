@@ -16,7 +16,7 @@ from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, read_manifest, read_table
 from tests.engine.clusters import wait_until
 from tests.engine.drive import NEEDS_CPU, contents, one_error, plan_sweep, start_worker, work_on
-from tests.engine.here import Here
+from tests.engine.in_process import InProcessLauncher
 from tests.tiers import by_tier
 from tests.toy import toy_sweep
 
@@ -218,7 +218,7 @@ def test_a_failed_chunk_does_not_stop_the_others_and_is_told(planned, alone, cap
     assert contents(planned) == alone
 
 
-HERE = Here(lambda folders: work_on(*folders, cores=1))
+IN_PROCESS = InProcessLauncher(lambda folders: work_on(*folders, cores=1))
 
 
 @pytest.mark.bits
@@ -228,7 +228,7 @@ def test_a_driver_that_was_lost_before_it_launched_its_workers(tmp_path, alone, 
     (out / WORK).mkdir(parents=True)
     if content is not None:
         (out / WORK / "launch.json").write_text(content)
-    assert run_here(out, resume=True, launcher=HERE) == 0
+    assert run_here(out, resume=True, launcher=IN_PROCESS) == 0
     assert contents(out) == alone
 
 
@@ -241,12 +241,12 @@ def test_another_sweep_is_refused_where_only_the_plan_is_left(planned, alone, ca
         ({}, ""),
     ]
     for changes, told in points:
-        code = run_here(planned, resume=True, launcher=HERE, **changes)
+        code = run_here(planned, resume=True, launcher=IN_PROCESS, **changes)
         assert (code, told in capsys.readouterr().err) == (2 if told else 0, True)
     assert contents(planned) == alone
 
 
-class Late(Here):
+class Late(InProcessLauncher):
     """The worker has left, and its last files are seen when the driver has looked a number of times."""
 
     def __init__(self, out: Path, looks: int):

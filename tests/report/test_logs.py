@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bojax.report.comparing.build import compare
-from bojax.report.comparing.logs.methods import rows_of
+from bojax.report.comparing.logs.grouping import rows_of
 from bojax.report.comparing.logs.names import label_and_run
 from bojax.report.comparing.logs.opening import opened
 from tests.report.synthetic import write_learning

@@ -24,7 +24,7 @@ from bojax.report.source import load
 from bojax.results.folder import make_new
 from bojax.tuning.page import read_tuning
 from bojax.tuning.rounds import _Rounds
-from tests.engine.here import Here
+from tests.engine.in_process import InProcessLauncher
 from tests.engine.test_program_cache import caching_in
 from tests.transcript import cases
 
@@ -170,11 +170,11 @@ def test_an_interrupted_search_prints_how_to_resume_it(tmp_path, monkeypatch, ca
 
 @pytest.mark.bits
 def test_workers_of_a_launcher_run_the_rounds(tmp_path, undisturbed, monkeypatch):
-    here = Here(lambda folders: run_worker(folders, WorkerOptions(cores=1), lambda: False))
-    monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: here)
+    launcher = InProcessLauncher(lambda folders: run_worker(folders, WorkerOptions(cores=1), lambda: False))
+    monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: launcher)
     out = tmp_path / "search"
     closed = []
-    monkeypatch.setattr(here, "close", lambda: closed.append(here.num_started))
+    monkeypatch.setattr(launcher, "close", lambda: closed.append(launcher.num_started))
     assert tune(out, "--launcher", "ray") == 0
     assert contents(out) == contents(undisturbed)
     assert closed == [4]  # three rounds and the confirmation by the same workers

@@ -15,7 +15,7 @@ from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
 from bojax.report.budgets import Series, budget_of
 from bojax.report.comparing.curve_files import Rows
-from bojax.report.comparing.logs.methods import rows_of
+from bojax.report.comparing.logs.grouping import rows_of
 from bojax.report.comparing.logs.opening import Source
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread

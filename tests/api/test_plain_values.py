@@ -5,7 +5,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.api.given import Values
+from bojax.api.plain_values import PlainValues
 from bojax.config.errors import ConfigError
 from bojax.planning.settings import SBO
 from tests.refusals import assert_refused
@@ -21,7 +21,7 @@ CIRCLE["a"] = CIRCLE
 
 
 def test_numbers_arrays_settings_and_classes_have_a_form():
-    values = Values()
+    values = PlainValues()
     text = {"e": {"text": "β: 'x'\n😀", "flag": True}}
     given = {"a": np.float64(1e-7), "b": np.arange(3), "c": jnp.float32(0.5), "d": (1, (2.0, None)), **text}
     plain = {"a": 1e-7, "b": [0, 1, 2], "c": 0.5, "d": [1, [2.0, None]], **text}
@@ -29,7 +29,7 @@ def test_numbers_arrays_settings_and_classes_have_a_form():
     assert not values.has_classes
     found = values.mapping({"planner": SBO(depth=2), "problem": {"kind": Mine}}, "config.yaml")
     assert found["planner"]["kind"] == "sbo" and found["planner"]["depth"] == 2
-    assert found["problem"]["kind"] == "tests.api.test_given:Mine"
+    assert found["problem"]["kind"] == "tests.api.test_plain_values:Mine"
     assert values.has_classes
 
 
@@ -47,5 +47,5 @@ REFUSED = [
 
 
 def test_anything_else_is_refused():
-    read = partial(Values().mapping, name="config.yaml")
+    read = partial(PlainValues().mapping, name="config.yaml")
     assert_refused([(partial(read, given), message) for given, message in REFUSED], ConfigError)

@@ -12,7 +12,7 @@ from bojax.config.overrides import SOURCE
 from bojax.config.yaml_file import mapping_of
 
 
-class Values:
+class PlainValues:
     """Plain values of what a caller gives."""
 
     def __init__(self):

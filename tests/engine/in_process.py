@@ -6,7 +6,7 @@ from pathlib import Path
 from bojax.engine.remote import Launcher
 
 
-class Here(Launcher):
+class InProcessLauncher(Launcher):
     """Calls a function with the results folders, in place of a worker.
 
     Args:
