@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from pydantic import Field
 
 from bojax.config.component import Component
+from bojax.config.points import Point, Sweep
 from bojax.config.settings import EngineConfig, Record
-from bojax.config.sweep import Point, Sweep
 from bojax.experiments.base import Experiment, Records
 from bojax.numerics.lanes import any_lane
 from bojax.results.schema import Column

@@ -23,7 +23,8 @@ from bojax.cli.parser import Parser, UsageError
 from bojax.config.errors import say
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
-from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.points import Sweep
+from bojax.config.sweep import load_config, load_sweep
 from bojax.config.sweep_file import Source
 from bojax.config.yaml_file import MAX_BYTES, mapping_of
 from bojax.engine.resolve import resolved

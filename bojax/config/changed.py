@@ -4,7 +4,8 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from bojax.config.sweep import Point, Sweep, load_sweep
+from bojax.config.points import Point, Sweep
+from bojax.config.sweep import load_sweep
 
 _MISSING = object()
 

@@ -21,8 +21,8 @@ from bojax.config.catalog import roles
 from bojax.config.component import Component, External, import_target
 from bojax.config.errors import ConfigError, Location, did_you_mean, dotted, from_validation, shown
 from bojax.config.files import WRITTEN, display
+from bojax.config.points import Sweep
 from bojax.config.signature import fields_of
-from bojax.config.sweep import Sweep
 from bojax.text import error_at_line
 
 Locate = Callable[[Location], str]

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from bojax.config.points import Point, Sweep
 from bojax.config.settings import EngineConfig, Record
-from bojax.config.sweep import Point, Sweep, validate_experiment
+from bojax.config.sweep import validate_experiment
 
 
 def saved(sweep: Sweep) -> dict[str, Any]:

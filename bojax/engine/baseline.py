@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bojax.config.errors import say
-from bojax.config.sweep import Sweep
+from bojax.config.points import Sweep
 from bojax.engine.batch import run_key
 from bojax.engine.build import build
 from bojax.envs.base import Env

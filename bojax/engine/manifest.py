@@ -6,7 +6,7 @@ from typing import Any
 
 from bojax.config.changed import changed_from_published
 from bojax.config.errors import ConfigError
-from bojax.config.sweep import Sweep
+from bojax.config.points import Sweep
 from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
 from bojax.engine.plan import plain

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bojax.config.limits import CHUNKS
-from bojax.config.sweep import Point, Sweep
+from bojax.config.points import Point, Sweep
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
 from bojax.engine.devices import Device, on_cpu, suited

@@ -1,7 +1,7 @@
 """Import of the modules that a sweep names, with JAX prepared for the user's code. Imports JAX only then."""
 
 from bojax.config.external import imports_code, resolve
-from bojax.config.sweep import Sweep
+from bojax.config.points import Sweep
 from bojax.engine.signals import kept
 
 

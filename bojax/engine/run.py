@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from bojax.config.errors import ConfigError, say
+from bojax.config.points import Sweep
 from bojax.config.settings import Platform
-from bojax.config.sweep import Sweep
 from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.config.errors import say
-from bojax.config.sweep import Sweep
+from bojax.config.points import Sweep
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.plan import Plan, make_plan
 from bojax.results.folder import (

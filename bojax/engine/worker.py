@@ -15,8 +15,8 @@ import pydantic
 
 from bojax.config.errors import say
 from bojax.config.external import resolve
+from bojax.config.points import Sweep
 from bojax.config.saved_sweep import loaded
-from bojax.config.sweep import Sweep
 from bojax.engine.chunks import Chunk
 from bojax.engine.devices import choose, find_devices, prepare
 from bojax.engine.execute import execute

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bojax.config.errors import say
-from bojax.config.sweep import Sweep
+from bojax.config.points import Sweep
 from bojax.config.yaml_file import dump
 from bojax.engine.program_cache import held
 from bojax.engine.remote import Launcher

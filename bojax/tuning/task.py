@@ -9,8 +9,9 @@ from typing import Any
 
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError, allowed_names
+from bojax.config.points import Sweep
 from bojax.config.settings import Platform
-from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.sweep import load_config, load_sweep
 from bojax.config.sweep_file import Source
 from bojax.engine.resolve import resolved
 from bojax.optimisation.space import Axis

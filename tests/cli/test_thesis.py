@@ -7,7 +7,8 @@ import pytest
 
 from bojax.cli.main import main
 from bojax.config.files import available
-from bojax.config.sweep import Sweep, load_sweep
+from bojax.config.points import Sweep
+from bojax.config.sweep import load_sweep
 from bojax.results.store import read_table
 from tests.examples.pages import ROOT
 

@@ -5,8 +5,9 @@ import pytest
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError
 from bojax.config.files import available, shipped
+from bojax.config.points import Sweep
 from bojax.config.settings import EngineConfig, Record
-from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.sweep import load_config, load_sweep
 from bojax.motions.settings import KernelTrajectories, Splines
 from bojax.planning.settings import KCBTS, SBO
 from bojax.problems.settings import Parking

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 import pytest
 
+from bojax.config.points import Point, Sweep
 from bojax.config.settings import EngineConfig, Record
-from bojax.config.sweep import Point, Sweep
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.groups import static_groups

@@ -16,7 +16,8 @@ from bojax.config.component import Schema
 from bojax.config.errors import ConfigError, dotted, from_validation, listed, shown
 from bojax.config.files import SUFFIXES, display, find, shipped
 from bojax.config.overrides import SOURCE
-from bojax.config.sweep import Point, Setting, Sweep, vary
+from bojax.config.points import Point, Sweep
+from bojax.config.sweep import Setting, vary
 from bojax.config.yaml_file import read_mapping
 
 AXIS = "configuration"
