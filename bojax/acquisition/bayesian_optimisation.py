@@ -53,7 +53,7 @@ class OptimisationState(eqx.Module):
     Attributes:
         key: Random key, from which every step derives its own by its number.
         model: Observations, with inputs mapped to [-1, 1]^D and values in the units of the objective; kernel,
-            noise variance and mean are those of the standardised values.
+            noise variance and mean refer to standardised values.
         num_told: Number of evaluations, including missing ones.
         num_missing: Number of missing evaluations, whose point or value was not finite.
         was_missing: Whether the last evaluation is missing.

@@ -50,7 +50,7 @@ class Output:
     """What a process prints: progress goes to a bar, messages are printed, errors are kept."""
 
     def __init__(self):
-        self.lines: list[str] = []  # all but those of progress
+        self.lines: list[str] = []  # all but progress
         self._console = Console(stderr=True, highlight=False)
         self._bar: Bar | None = None
         self._title = ""

@@ -24,7 +24,7 @@ MOST_EVALUATIONS = 10_000
 """Largest expected number of evaluations: the memory of the model grows with its square."""
 
 Workers = Callable[[Callable[[Mapping[str, Any]], float], Sequence[Mapping[str, Any]]], Iterable[float]]
-"""`map`, or one that evaluates in parallel, such as that of an executor."""
+"""`map`, or a function that evaluates in parallel, such as the `map` of an executor."""
 
 
 class ObjectiveError(BojaxError):

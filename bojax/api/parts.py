@@ -28,7 +28,7 @@ def part(
     Args:
         kind: Name of the part, such as `"emu-q"`.
         role: Role of the part, such as `"schedule"`; needed only for a name that several roles have.
-        dtype: Precision of its numbers; by default that of JAX, or of an experiment its setting `dtype`.
+        dtype: Precision of its numbers; by default the one of JAX, or for an experiment its setting `dtype`.
         settings: Settings that differ from the defaults: `part("emu-q", kappa=2.0)`.
 
     Raises:

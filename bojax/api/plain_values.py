@@ -22,12 +22,12 @@ class PlainValues:
         """A config as if read from a file: what a file cannot hold is refused under the same messages.
 
         Raises:
-            ConfigError: A value has no form in a YAML file; `name` is that of the file.
+            ConfigError: A value has no form in a YAML file; `name` is the file.
         """
         return mapping_of(self.text(value, (), name).encode("utf-8", "surrogatepass"), name)
 
     def number(self, value: Any, key: str) -> Any:
-        """A number that an argument gives: that of NumPy and JAX, too."""
+        """A number that an argument gives, which may be one of NumPy or JAX."""
         return self._plain(value, (key,), SOURCE)
 
     def text(self, value: Any, path: tuple[str, ...], name: str) -> str:
@@ -60,7 +60,7 @@ class PlainValues:
         )
 
     def _import_path(self, cls: type, path: tuple[str, ...], name: str) -> str:
-        """The import path of a class, `module:Class`; classes of a notebook are those of `__main__`."""
+        """The import path of a class, `module:Class`; classes of a notebook belong to `__main__`."""
         if "." in cls.__qualname__:
             raise ConfigError(
                 f"{_where(path, name)}got the class {cls.__qualname__}; allowed: a class that is defined at "

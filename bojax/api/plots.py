@@ -48,7 +48,7 @@ def plot_gp(
 
     Args:
         gp: The process, or a fitted estimator.
-        low: Lower corner of the drawn box; by default that of the observations, with a margin.
+        low: Lower corner of the drawn box; by default the corner of the observations, with a margin.
         high: Upper corner.
         samples: Number of joint draws, on a line.
         acquisition: Acquisition function to draw too, an object or a name, such as `"log-ei"`.

@@ -73,7 +73,7 @@ def sweep(
 ) -> Results:
     """Run a sweep, as `bojax sweep`, and return its results.
 
-    The process and the arguments are those of `bojax.run`, with the name or content of a sweep: `runs` is the
+    The process and the arguments are as in `bojax.run`, with the name or content of a sweep: `runs` is the
     number of runs of each point.
 
     Raises:
@@ -101,7 +101,7 @@ def tune(
 ) -> TuningResults:
     """Search for the best values of settings, as `bojax tune`, and return what was found.
 
-    The process and the other arguments are those of `bojax.run`; those without a default here have the one of
+    The process and the other arguments are as in `bojax.run`; those without a default here have the one of
     the command line.
 
     Args:

@@ -54,7 +54,7 @@ def growth(results: Results, test: Growth) -> Finding:
     lacking = int((~is_there).sum())
     power = ""
     if x[0] > 0 and means.min() > 0:
-        # Logarithms of the means of a power law are linear in those of x; their errors are relative ones.
+        # For a power law, log(mean) is linear in log(x), and errors become relative ones.
         exponent, *many = laws.fit("linear", np.log(x), np.log(np.vstack([ours, means])), errors / ours).b
         low, high = statistics.central(np.asarray(many))
         power = f"; exponent of a power law: {exponent:.2f} [{low:.2f}, {high:.2f}]"

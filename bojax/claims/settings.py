@@ -145,7 +145,7 @@ class Order(Measured, frozen=True):
 
     @property
     def tiers(self) -> tuple[tuple[str, ...], ...]:
-        """The names in the claimed order; those of one tier are not compared with each other."""
+        """The names in the claimed order; names of one tier are not compared with each other."""
         listed = self.greater or self.less or ()
         return tuple((tier,) if isinstance(tier, str) else tier for tier in listed)
 

@@ -1,6 +1,6 @@
 """Parts given by import path: the user's class is imported, and a schema class is made of its settings.
 
-The settings are those of a nested pydantic class `Config`, or else the annotated arguments of the
+Its settings are the fields of a nested pydantic class `Config`, or else the annotated arguments of the
 constructor. After validation, an imported part is a component like any other.
 """
 

@@ -85,7 +85,7 @@ def counts_of(component: Component, path: Location = ()) -> Iterator[tuple[Locat
 
 
 def memory(num_bytes: int) -> str:
-    """An amount of memory in the largest unit in which it is at least 1."""
+    """An amount of memory, in the largest unit that gives at least 1."""
     units = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
     power = min((num_bytes.bit_length() - 1) // 10, len(units) - 1)
     return f"{num_bytes / 1024**power:,.0f} {units[power]}"
@@ -105,7 +105,7 @@ TEXT = Limit("bytes of text", bytes_each=20, at_least=2**24)
 """Text of a table, of curves, of JSON or of a robot. Short rows of numbers: 12 B a byte, as measured."""
 
 NUMBERS = Limit("numbers", bytes_each=16, at_least=2**24)
-"""Numbers of a table: the copy in 64 bits, and that of the field."""
+"""Numbers of a table: the copy in 64 bits, and the one of the field."""
 
 COUNT = Limit("entries or steps", bytes_each=64, at_least=10_000_000)
 """An integer of an experiment. A row of an array takes 8 B a number, and its size is computed in 32 bits."""

@@ -96,7 +96,7 @@ def dump(value: Any) -> str:
 
 
 def read_mapping(path: Path, name: str) -> dict[str, Any]:
-    """The mapping that a YAML file holds; `name` is that of the file in messages.
+    """The mapping that a YAML file holds; messages call the file `name`.
 
     Raises:
         ConfigError: The file is unreadable, empty or not YAML, holds no mapping, or has a duplicate key.

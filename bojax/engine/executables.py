@@ -1,7 +1,7 @@
 """Compiled programs as files, which are loaded without being lowered again.
 
 JAX finds a compiled program in its cache by what was lowered. To lower a traced program takes most of the
-time in which a group is loaded, and holds the interpreter, for which the threads that drive the devices wait.
+time of loading a group, and holds the interpreter, for which the threads that drive the devices wait.
 The files here are found by the key of the group instead, see `program_cache`, and have the same machine code
 as the entries of JAX's cache. Each device has its own: a compiled program names the device that it runs on.
 Programs that came from JAX's cache, as after a change of code that does not change them, have none.

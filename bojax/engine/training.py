@@ -97,7 +97,7 @@ def train(
         stop: Whether a run ends at its first success.
         tests: Number of test episodes, without exploration or learning, after each training episode.
         dtype: Precision of parts built from settings; float64 requires `jax_enable_x64`.
-        callback: Called after each episode with its rows and those of its tests, for all runs that are
+        callback: Called after each episode with its rows and the rows of its tests, for all runs that are
             computed together; more runs than lanes are computed one batch after another. The calls come from
             other threads, one at a time. An exception in it ends the training, and is raised here.
 

@@ -184,7 +184,7 @@ def pack(device: Device) -> Path:
     Choices of the archive that the folder lacks are kept.
     """
     path, choices = archive_of(device), {**shipped(device), **read_all()}
-    # As text, the names inside of the files are those of the index, which halves the archive.
+    # As text, the names inside the files repeat those of the index, which halves the archive.
     texts = {name: base64.b64decode(content).decode("latin-1") for name, content in choices.items()}
     path.parent.mkdir(exist_ok=True)
     content = json.dumps(texts, sort_keys=True).encode()

@@ -37,7 +37,7 @@ class BeliefEnv(Env):
     parameters in [-1, 1] of those of the problem, or their number in its list. A step that ends the episode
     with a positive reward is a success.
 
-    The belief is that of a filter which the learner cannot influence but by its actions, so that these
+    The belief comes from a filter, which the learner influences only by its actions, so that these
     summaries are the state of a Markov decision process only as far as they describe the belief. How often it
     has collapsed in training is a column of `runs.parquet`, as of a planner.
 

@@ -16,7 +16,7 @@ _GRAVITY, _CART, _POLE, _HALF_LENGTH = 9.8, 1.0, 0.1, 0.5
 class CartpoleSwingUp(ControlTask):
     """A pole on a cart on a track; its state is the observation.
 
-    The cart weighs 1 kg, and the pole 0.1 kg over a length of 1 m. The equations of motion are those of Gym's
+    The cart weighs 1 kg, and the pole 0.1 kg over a length of 1 m. The equations of motion follow Gym's
     CartPole (Barto, Sutton and Anderson, 1983, without friction), with its explicit Euler step. The angle is
     measured from upright and is not wrapped.
 

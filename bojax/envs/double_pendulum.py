@@ -21,7 +21,7 @@ class DoublePendulum(ControlTask):
 
     The state is the angle of the first rod from hanging down, the angle of the second rod from the first,
     both in radians, and their velocities. A rod is 1 m long and weighs 1 kg, with the centre of mass in the
-    middle and a moment of inertia of 1 kg m^2 about it. The equations of motion are those of Sutton and Barto
+    middle and a moment of inertia of 1 kg m^2 about it. The equations of motion follow Sutton and Barto
     (Reinforcement Learning, 1st edition, Section 11.3), with a torque at either joint; a time step is one
     Runge-Kutta step of fourth order.
 

@@ -1,6 +1,6 @@
 """Planar rigid-body dynamics of a lander on two hinged legs over rough terrain.
 
-The dynamics are those of Gym's LunarLander without its physics engine, Box2D: the same masses, the same
+The dynamics follow Gym's LunarLander without its physics engine, Box2D: the same masses, the same
 semi-implicit Euler step of 1/50 s, and contacts resolved by sequential impulses. There are three
 simplifications: a leg has no inertia about its hinge, a leg touches the ground with its lowest corner only,
 and the ground below a corner is the plane of the terrain segment below it.

@@ -50,7 +50,7 @@ class LunarLander(ControlTask):
     def observation_space(self) -> Box:
         """Position relative to the pad, velocity, angle, spin, and ground contact of the right and left leg.
 
-        Units are Gym's: 10 m, 6.67 m, 5 m/s, 7.5 m/s, 1 rad, 2.5 rad/s. The bounds are those of the author's
+        Units are Gym's: 10 m, 6.67 m, 5 m/s, 7.5 m/s, 1 rad, 2.5 rad/s. The bounds come from the author's
         code.
         """
         low = jnp.asarray([-1.2, -0.2, -3.3, -2.8, -3.4, -4.0, 0.0, 0.0], self.gravity.dtype)

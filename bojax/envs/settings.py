@@ -1,4 +1,4 @@
-"""Settings of the environments, those of simulated robots excepted."""
+"""Settings of the environments, except for simulated robots."""
 
 import json
 from typing import Annotated, Any, ClassVar, Literal

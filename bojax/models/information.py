@@ -48,7 +48,7 @@ def explained_variance(
     Args:
         posterior: The belief before the samples.
         places: The places.
-        samples: Positions of the samples, in the order in which they are taken.
+        samples: Positions of the samples, in the order of sampling.
         is_taken: Whether each is taken.
         samples_per_point: Number of measurements that one sample stands for: its noise variance is divided
             by it.

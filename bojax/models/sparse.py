@@ -59,7 +59,7 @@ def sparse_posterior(
 
 
 def spread_inducing(points: Any, lengthscale: float, number: int) -> np.ndarray:
-    """Inducing points `[number, 2]` spread over points `[N, 2]`, of which there are at least as many.
+    """Inducing points `[number, 2]` spread over points `[N, 2]`, with N at least `number`.
 
     They are the means of the points in the cells of a grid, which is as fine as the number allows; further
     points fill up the number.

@@ -23,7 +23,7 @@ def kernel_effects(motions: KernelTrajectories, params: Float[Array, "D"]) -> di
     velocity and acceleration are governed by the time kernel ky." Each lengthscale is multiplied by `FACTOR`,
     one at a time. The effect of a kernel on a quantity is the root mean square of its change over the
     trajectory, and the result is the natural logarithm of the ratio of the effects of the two kernels, that
-    of the kernel that the thesis names over that of the other one; NaN if one of them has no effect.
+    of the kernel that the thesis names over the effect of the other; NaN if either has no effect.
     """
     before = _profile(motions, params)
     by_time = dataclasses.replace(motions, time_lengthscale=FACTOR * motions.time_lengthscale)

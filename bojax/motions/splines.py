@@ -36,7 +36,7 @@ class SplineSet(DiscreteMotions):
     length: Float[Array, ""]
     actions: Float[Array, ""]
     num_samples: int = eqx.field(static=True)
-    # Number of paths, by default those of the set. Larger sets extend the smaller ones
+    # Number of paths, by default all of the set. Larger sets extend the smaller ones
     room: int = eqx.field(static=True)
 
     def __init__(

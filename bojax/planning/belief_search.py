@@ -81,7 +81,7 @@ class BeliefTreeSearch(eqx.Module):
     action_widening: Widening
     observation_widening: Widening  # rule by which branches are added
     proposal: Proposal  # how a new action is chosen
-    # Whether the plan is the action of the highest "value" or that of most "visits"
+    # Whether the plan is the action with the highest "value" or with the most "visits"
     recommendation: Choice = eqx.field(converter=one_of(*RECOMMENDATIONS))
     iterations: int = eqx.field(static=True)  # simulations a plan
     depth: int = eqx.field(static=True)  # actions to the horizon
@@ -153,7 +153,7 @@ class BeliefTreeSearch(eqx.Module):
 
     @property
     def by_value(self) -> bool | Array:
-        """Whether the action of the highest value is recommended, or else that of the most visits."""
+        """Whether to recommend the action with the highest value, not the one with the most visits."""
         return self.recommendation.is_("value")
 
     def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Tree:
@@ -272,7 +272,7 @@ class BeliefTreeSearch(eqx.Module):
                 adds = draws & ~is_known
                 branch = row(branches, _by_count(key_branch, counts))
             else:
-                # The number of branches is that of the thresholds which the earlier visits have reached.
+                # There is a branch for each threshold that the earlier visits have reached.
                 num_branches = jnp.sum(rules.for_branches <= visits - 1.0, dtype=jnp.int32)
                 adds = num_allowed > num_branches
                 branch = tree.branches_of(action_node, random_index(key_branch, num_branches))
@@ -281,7 +281,7 @@ class BeliefTreeSearch(eqx.Module):
                 key_follow, problem, grown, at.state, action, branch, is_followed
             )
             level = at.level + is_followed.astype(jnp.int32)
-            # Where the descent ends, the node, the state and the level stay those of the expansion.
+            # Where the descent ends, the node, the state and the level stay as they were at the expansion.
             return beliefs, _Descent(
                 turn=at.turn + 1,
                 level=level,
@@ -335,7 +335,7 @@ class BeliefTreeSearch(eqx.Module):
         key: Key[Array, ""],
         end: "_Descent",
     ) -> Num[Array, "P"]:
-        """The parameters of the action that the descent has ended with: a new one, or that of the tree."""
+        """The parameters of the action that the descent has ended with: a new one, or one of the tree."""
         space = problem.actions
         if isinstance(space, Discrete):
             return end.slot[None].astype(end.parameters.dtype)

@@ -143,7 +143,7 @@ class ContinuousBeliefTreeSearch(
             has_converged=jnp.zeros((num_nodes,), bool),
         )
         # Both sets of numbers come from one call, since random draws are slow to compile. As every element is
-        # drawn by its position, the first numbers of a longer draw are those of a shorter one.
+        # drawn by its position, a longer draw begins with the numbers of a shorter one.
         size = self.iterations * max(1, self.depth - 1)
         numbers = jax.vmap(lambda key: jax.random.randint(key, (size,), 0, self.num_candidates))(keys[1:])
         shape = (self.iterations, self.depth - 1)

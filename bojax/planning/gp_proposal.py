@@ -42,9 +42,10 @@ class GaussianProcessProposal(Proposal):
 
     The observation of an action is the mean of its target over n visits, with noise variance s^2 / n, where
     s^2 = (2 s0^2 + M) / (n + 1), M is the sum of squared deviations, and s0^2 the variance within all
-    actions of the node. While the node has fewer than three degrees of freedom, s0^2 is that of the root, and
-    while the root has too few, the variance between actions. Means are standardised to mean 0 and variance 1.
-    The incumbent of an improvement is the highest posterior mean at an action, not the highest noisy mean.
+    actions of the node. While the node has fewer than three degrees of freedom, s0^2 is taken from the root,
+    and while the root has too few, the variance between actions. Means are standardised to mean 0 and
+    variance 1. The incumbent of an improvement is the highest posterior mean at an action, not the highest
+    noisy mean.
 
     Settings: `bojax.planning.settings.GaussianProcessProposal`.
     """

@@ -1,7 +1,7 @@
 """Double progressive widening on paths: the tree of PFT-DPW, with the beliefs of a path problem as they are.
 
 The searches of the thesis imagine one observation an action (Algorithms 2 to 4); with `max_branches`
-of 1, so does this one. Its proposals of actions are those of searches on particles.
+of 1, so does this one. It proposes actions as searches on particles do.
 """
 
 from typing import NamedTuple

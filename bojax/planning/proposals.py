@@ -58,7 +58,7 @@ class VoronoiProposal(Proposal):
     Gaussian about the action of the highest mean return. The first that is accepted lies in the Voronoi cell
     of that action, or within `radius` of it; if none is, the candidate that is closest to it is proposed.
 
-    Deviation: distances are those of parameters, and candidates are clipped to [-1, 1].
+    Deviation: distances are between parameters, and candidates are clipped to [-1, 1].
     """
 
     probability: Float[Array, ""]  # probability of a random action

@@ -32,7 +32,7 @@ class Tree(eqx.Module):
     # the root
     totals: Float[Array, "N T"]
     children: Int[Array, "N A"]  # action node of each action of a belief node, or `UNVISITED`
-    # Belief node of each branch of an action node, in the order in which they were added, or `UNVISITED`;
+    # Belief node of each branch of an action node, in order of addition, or `UNVISITED`;
     # None for one branch an action
     branches: Int[Array, "N B"] | None
     # Parameters of the action of an action node; None if the planner stores them elsewhere
@@ -166,7 +166,7 @@ class Growth(eqx.Module):
 class RootActions(NamedTuple):
     """The actions of the root of a tree, or of several trees."""
 
-    parameters: Num[Array, "A P"]  # parameters of each action; those of an action without a visit may be any
+    parameters: Num[Array, "A P"]  # parameters of each action; arbitrary for an action without visits
     visits: Float[Array, "A"]  # number of visits of each action
     returns: Float[Array, "A"]  # sum of returns of each action
 

@@ -191,7 +191,7 @@ class Results:
         return found
 
     def only(self, points: Sequence[Point]) -> "Results":
-        """The results of some points; the tables of neighbours are views of those of all points."""
+        """The results of some points; the tables of neighbours are views of the tables of all points."""
         part = replace(self, points=tuple(points))
         indices = np.sort([point.index for point in points])
         first = indices[np.diff(indices, prepend=-2) > 1]  # of each row of neighbours

@@ -193,8 +193,8 @@ def interval_of_means(
         statistic: Maps means `[..., columns]` to values `[...]`.
         values: The table, whose values are finite.
         tail: Probability outside the interval on either side.
-        is_ratio: Whether the statistic is positive, and its interval that of its logarithm: a ratio, or a
-            mean time.
+        is_ratio: Whether the statistic is positive, so that the interval is computed for its logarithm: a
+            ratio, or a mean time.
         resampled: The means of resampled rows, if they are known.
     """
     tail = tail_in_use() if tail is None else tail
@@ -239,7 +239,7 @@ def time_interval(values: Floats) -> Interval:
     Fewer than `FEW` times have the t interval of the logarithm of their mean, as is usual for times to an
     event (Meeker and Escobar 1998, Statistical Methods for Reliability Data, section 7.3): Student's own is
     symmetric, and of a few skewed times it reaches below 0. NaN as `mean_interval`; if a value is not
-    positive, or all are equal, the interval is that of `mean_interval`.
+    positive, or all are equal, the interval comes from `mean_interval`.
     """
     if not np.isfinite(values).all() or not 0 < values.min(initial=np.inf) < values.max(initial=0.0):
         return mean_interval(values)

@@ -88,7 +88,7 @@ class Tuning(Recorded):
 
 
 def is_search(folder: Path) -> bool:
-    """Whether a folder is that of a finished search."""
+    """Whether a folder holds a finished search."""
     return os.path.isfile(folder / TUNING)
 
 
@@ -109,7 +109,7 @@ def round_name(number: int) -> str:
 
 
 def round_folder(search: Path, number: int) -> Path:
-    """Results folder of a round, in that of its search."""
+    """Results folder of a round, inside the folder of its search."""
     return search / "rounds" / f"{number:03d}"
 
 

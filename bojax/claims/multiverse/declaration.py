@@ -111,7 +111,7 @@ class Confirmation(Schema, frozen=True):
     """Runs of the sweep's own and of the best configuration on fresh seeds."""
 
     runs: int = Field(default=200, ge=20, description="number of runs of each point")
-    seed: int = Field(default=1, ge=0, description="seed, other than that of the analysis")
+    seed: int = Field(default=1, ge=0, description="seed, other than the one of the analysis")
 
 
 class MultiverseFile(Schema, frozen=True):

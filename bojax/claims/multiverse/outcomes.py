@@ -134,10 +134,10 @@ def begin(declaration: Declaration) -> Multiverse:
 
 
 def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
-    """The outcomes in a folder; without a file, those of an analysis that begins.
+    """The outcomes in a folder; without a file, an analysis without outcomes.
 
     Raises:
-        ResultsError: The file is damaged, or is that of another declaration.
+        ResultsError: The file is damaged, or belongs to another declaration.
     """
     path = folder / FILE
     if declaration is not None and not path.exists():
@@ -232,7 +232,7 @@ def evaluated(
 
 
 def configuration_of(results: Results, number: int) -> Results:
-    """The results of one configuration, whose points may be those of others too."""
+    """The results of one configuration, which may share points with others."""
     order = list(dict.fromkeys(point.variant for point in results.points))
     points = [
         replace(point, name=point.variant, swept={k: v for k, v in point.swept.items() if k != AXIS})
@@ -249,7 +249,7 @@ def extended(
     declaration: Declaration,
     found: Mapping[int, Iterable[Entry]],
 ) -> Multiverse:
-    """The outcomes with those of further configurations."""
+    """The outcomes, joined by further configurations."""
     # Files of earlier versions have variants and checks, which further configurations do not test.
     by_id = {claim.id: claim for claim in multiverse.counted}
     order = sorted({*multiverse.done, *found})
@@ -290,7 +290,7 @@ def confirmed(
     """The code of each claim in each of these configurations, with Holm's correction over all claims.
 
     Holm's procedure (1979) is stepped down in levels: what holds at the level of all hypotheses that are left
-    is rejected at once, and the level is that of those still left.
+    is rejected at once, and the level counts only those still left.
     """
     found: dict[int, dict[str, str]] = {}
     for number in numbers:

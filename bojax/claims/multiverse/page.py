@@ -21,7 +21,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
     """Write the page, `.html` or `.md`, and its figures into the folder `figures` beside it.
 
     Args:
-        multiverse: The outcomes, which may be those of some of the configurations.
+        multiverse: The outcomes, of some or all configurations.
         page: The file.
     """
     with style.settings():

@@ -21,10 +21,10 @@ class Hopper(RobotTask):
 
     The goal is a height of the torso above `goal_height`; an angle of the torso beyond `failure_angle` in
     either direction is a failure (p. 107). In the author's code a height below 0.7 m is a failure too
-    (`failure_height`). The classic reward is that of Gym's Hopper-v5: forward velocity + 1 - 0.001 times the
+    (`failure_height`). The classic reward follows Gym's Hopper-v5: forward velocity + 1 - 0.001 times the
     sum of the squared actions. An unhealthy state (height below 0.7 m, |angle| above 0.2 rad, or any other
     component of the state above 100 in magnitude) loses the 1 and ends the episode. With
-    `classic_reward: published` it is that of the author's code, see `bojax.envs.control.penalties`.
+    `classic_reward: published` it follows the author's code, see `bojax.envs.control.penalties`.
 
     As in Gym, an episode starts in the standing configuration, with noise uniform in [-0.005, 0.005] on every
     position and velocity.
@@ -49,7 +49,7 @@ class Hopper(RobotTask):
     def observation_space(self) -> Box:
         """Height and angle of the torso, angles of the three joints, and all six velocities, clipped.
 
-        The bounds are those of the author's code, in m and rad, m/s and rad/s.
+        The bounds come from the author's code, in m and rad, m/s and rad/s.
         """
         low = jnp.asarray([-0.1, -0.25, -0.4, -0.4, -0.32] + 6 * [-7.0], self.dtype)
         return Box(low, jnp.asarray([1.3, 0.02, 0.025, 0.03, 0.7] + 6 * [7.0], self.dtype))

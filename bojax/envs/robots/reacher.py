@@ -22,7 +22,7 @@ class Reacher(RobotTask):
     """Two links over a table with a target; actions are the torques of shoulder and elbow.
 
     The goal is a distance between fingertip and target below `goal_distance` (p. 107), at any speed. There is
-    no failure. The classic reward is that of Gym's Reacher-v5: minus the distance after the step, minus the
+    no failure. The classic reward follows Gym's Reacher-v5: minus the distance after the step, minus the
     sum of the squared actions. As in Gym, nothing terminates an episode with the classic reward. With
     `second_action: fixed` the elbow's torque is always 1, by an error of the author's code.
 

@@ -48,8 +48,8 @@ class Reacher(Robot, frozen=True):
     )
     second_action: Literal["free", "fixed"] = Field(
         default="free",
-        description="whether the second action is that of the learner, or always 1 (an error in the author's "
-        "code)",
+        description="whether the learner chooses the second action, or it is always 1 (an error in the "
+        "author's code)",
     )
     substeps: int = Field(default=2, ge=1, description="simulation steps of 10 ms per action")
 

@@ -156,7 +156,7 @@ def methods_of(results: Sequence[Results], sources: Sequence[Source], measure: M
 
 
 def _by_path(sources: Sequence[Source], measure: Measure) -> list[tuple[Path, list[Rows]]]:
-    """The rows of each CSV file, then those of each label of all logs together."""
+    """The rows of each CSV file, then the rows of each label over all logs."""
     logs = [each for source in sources for each in source.logs]
     phase, column = measure.options.phase, measure.options.column
     if column is not None and not logs:

@@ -35,7 +35,7 @@ def arrays_of(path: Path) -> dict[str, Any]:
 
 
 def is_evaluations(arrays: Mapping[str, Any]) -> bool:
-    """Whether arrays are those of Stable-Baselines3's `EvalCallback`."""
+    """Whether Stable-Baselines3's `EvalCallback` has written these arrays."""
     return "timesteps" in arrays and "results" in arrays
 
 

@@ -70,7 +70,7 @@ def is_bare_monitor(text: str) -> bool:
 def monitor_columns(texts: Sequence[tuple[Path, str]]) -> Columns:
     """The columns of the files of a folder, as `stable_baselines3.common.monitor.load_results` reads them.
 
-    The files are those of parallel environments of one run: their episodes are put in the order in which they
+    The files come from parallel environments of one run: their episodes are put in the order in which they
     ended, and their lengths add up to steps. Columns of text are left out.
     """
     tables = [(table_of(path, text.partition("\n")[2], first_line=2), text) for path, text in texts]
