@@ -1,6 +1,7 @@
 """Search over a space: Bayesian optimisation (Algorithm 1) that proposes batches of points."""
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -51,7 +52,7 @@ class Search:
     the noise variance are relearned after every batch.
 
     A point is proposed once only: the same point would have the same score. In the place of a repeated point,
-    the first new one of a quasi-random sequence is proposed.
+    the first new one of a quasi-random sequence is proposed, or of all points in order.
 
     The state depends on the seed and on what was told, in order, and on nothing else. It is computed on the
     CPU in float64, so that it does not depend on the device of the runs.
@@ -155,7 +156,7 @@ class Search:
         return jnp.asarray(self._position(values), jnp.float64)
 
     def _fresh(self, index: int, tried: set[Values]) -> Values | None:
-        """A point that was not tried; None if none of a quasi-random sequence is."""
+        """A point that was not tried; None if there is none."""
         key = jax.random.fold_in(self._key, index + 1)
         low, high = np.asarray(self._learner.low), np.asarray(self._learner.high)
         units = np.asarray(shifted_kronecker(key, SPARE, len(low), jnp.float64))
@@ -163,7 +164,9 @@ class Search:
             values = self._values(low + 0.5 * (unit + 1.0) * (high - low))
             if values not in tried:
                 return values
-        return None
+        # Most of the space was tried, so that it has few points: it is one of integers and choices.
+        every = itertools.product(*(each.all_values() for each in self._axes))
+        return next((values for values in every if values not in tried), None)
 
 
 def _noisy() -> dict:

@@ -62,6 +62,10 @@ class Range:
             return int(min(max(math.floor(value + 0.5), self.low), self.high))
         return float(min(max(self._readable(value), self.low), self.high))
 
+    def all_values(self) -> Sequence[int]:
+        """All integers, in order; none of real numbers."""
+        return range(int(self.low), int(self.high) + 1) if self.is_integer else []
+
     def checked(self, value: Any) -> int | float:
         """A value that a user gives.
 
@@ -112,6 +116,10 @@ class Choice:
     def value(self, position: Sequence[float]) -> Hashable:
         """Map a position to a value."""
         return self.values[max(range(len(self.values)), key=lambda index: position[index])]
+
+    def all_values(self) -> Sequence[Hashable]:
+        """All choices."""
+        return self.values
 
     def checked(self, value: Any) -> Hashable:
         """A value that a user gives.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.optimisation.search import Search
-from bojax.optimisation.space import Range
+from bojax.optimisation.space import Choice, Range
 from tests.tiers import by_tier
 
 RATE = Range("learner.learning_rate", 1e-3, 1.0, is_log=True, is_integer=False)
@@ -119,3 +119,12 @@ def test_values_stay_within_the_bounds_and_integers_have_equal_shares():
     positions = np.linspace(low, high, 5001)[:-1].tolist()
     _, counts = np.unique([DEPTH.value([position]) for position in positions], return_counts=True)
     assert counts.tolist() == [1000] * 5
+
+
+def test_all_points_of_a_finite_space_are_proposed(monkeypatch):
+    """The last ones are rare among quasi-random points, the more so if there is one of these."""
+    monkeypatch.setattr("bojax.optimisation.search.SPARE", 1)
+    axes = [Range("depth", 1, 6, is_log=True, is_integer=True), Choice("kernel", ("rbf", "matern"))]
+    search = Search(axes, 0, 13, CAPACITY)
+    points = search.propose(13)
+    assert len(points) == len(set(points)) == 12
