@@ -51,8 +51,8 @@ def main() -> int:
         start, short = time.monotonic(), []
         for number, seed in enumerate(seeds, 1):
             outcome = _checked(check, seed)
-            if args.case:
-                print(f"tried: {outcome.tried}")
+            if args.case or args.verbose:
+                print(f"tried: {outcome.tried}", flush=True)
             if outcome.fault:
                 short.append((seed, outcome))
                 print(f"\r--case {kind}:{seed}  {outcome.tried}\n    {outcome.fault}", flush=True)
@@ -104,6 +104,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--count", type=int, metavar="N", help="cases of each kind")
     parser.add_argument("--case", metavar="KIND:SEED", help="one case, as a failure names it")
     parser.add_argument("--quick", action="store_true", help="the few cases that `make slow` runs")
+    parser.add_argument("--verbose", action="store_true", help="print what each case tries")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
     return parser.parse_args()
 
