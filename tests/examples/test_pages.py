@@ -17,7 +17,7 @@ from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
 DOCS = ROOT / "docs"
 REFERENCE = {
-    *("docs/configuration.md", "docs/results.md", "docs/reproduction.md", "docs/surveys-league.md"),
+    *("docs/results.md", "docs/reproduction.md", "docs/surveys-league.md"),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "settings").iterdir()),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "reproduction").glob("chapter*.md")),
     *(page.relative_to(ROOT).as_posix() for page in (DOCS / "reproduction").glob("multiverse-*.md")),
@@ -120,9 +120,12 @@ def test_make_targets_exist():
     assert {"run", "test"} <= used <= targets
 
 
-def test_the_configuration_page_shows_files_that_load(tmp_path):
+def test_the_pages_of_configuration_and_claims_show_files_that_load(tmp_path):
     experiment, kernel, learning, axes, claims, explanations = (
-        yaml.safe_load(c) for k, c, _ in blocks(DOCS / "configuration.md") if k == "yaml"
+        yaml.safe_load(content)
+        for page in ("configuration.md", "claims.md")
+        for kind, content, _ in blocks(DOCS / page)
+        if kind == "yaml"
     )
     path = tmp_path / "shown.yaml"
     path.write_text(yaml.safe_dump(experiment))
