@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
-from bojax.numerics.lanes import any_lane, in_own_kernel
+from bojax.numerics.lanes import any_lane
 from bojax.numerics.simulation_keys import random_index
 from bojax.planning.oracles import policy_named
 from bojax.problems.particles import Particles
@@ -79,7 +79,7 @@ class Rollout(LeafValue):
         starts = jax.vmap(draw_alive, (0, None))(jax.random.split(key_start, self.num_rollouts), alive)
 
         def is_active(carry):
-            return any_lane(jnp.any(in_own_kernel(carry[2], carry[0])))
+            return any_lane(jnp.any(carry[2]))
 
         def next_step(carry):
             step, state, active, weight, total = carry

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
-from bojax.numerics.lanes import any_lane, in_own_kernel
+from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import matmul
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Expansion
@@ -214,7 +214,7 @@ class BeliefRollout(LeafValue):
         remaining: Int[Array, ""],
     ) -> Float[Array, ""]:
         def is_active(carry):
-            return any_lane(in_own_kernel(carry[2], carry[0]))
+            return any_lane(carry[2])
 
         def next_step(carry):
             step, belief, active, weight, total = carry
