@@ -52,7 +52,7 @@ def main() -> int:
         for number, seed in enumerate(seeds, 1):
             outcome = _checked(check, seed)
             if args.case or args.verbose:
-                print(f"tried: {outcome.tried}", flush=True)
+                print(f"{kind}:{seed}  {outcome.tried}", flush=True)
             if outcome.fault:
                 short.append((seed, outcome))
                 print(f"\r--case {kind}:{seed}  {outcome.tried}\n    {outcome.fault}", flush=True)

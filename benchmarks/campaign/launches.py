@@ -136,6 +136,7 @@ class _Launch(abc.ABC):
             self.settle()
         for pid in self._paused:
             _send(pid, signal.SIGCONT)
+        self._paused.clear()
         for child, was_disturbed in self._children.items():
             ended = child.wait(child.wall + _PATIENCE)
             codes = (0, 1, 2, *([ended.code] if was_disturbed else []))

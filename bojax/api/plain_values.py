@@ -22,7 +22,7 @@ class PlainValues:
         """A config as if read from a file: what a file cannot hold is refused under the same messages.
 
         Raises:
-            ConfigError: A value has no form in a YAML file; `name` is the file.
+            ConfigError: A value has no form in a YAML file; messages call the file `name`.
         """
         return mapping_of(self.text(value, (), name).encode("utf-8", "surrogatepass"), name)
 

@@ -85,7 +85,7 @@ class Reports:
         """Give up reports that are not written, since a signal must be answered at once."""
         left = [*self._folders, *(folder for folder, pending in self._pending.items() if not pending.done())]
         for process in multiprocessing.active_children() if self._pool is not None else ():
-            process.terminate()
+            process.kill()
         self._folders.clear()
         for folder in left:
             self._pending.pop(folder, None)
@@ -125,12 +125,12 @@ def _build(folder: Path) -> Path:
 
 
 def _begin(parent: int) -> None:
-    """Leave signals that a terminal sends to every process to the main process, and end after it.
+    """Leave signals that a terminal, or `timeout`, sends to every process to the main one, and end after it.
 
     A pool whose process is killed is not told, and would wait for further reports forever. The main process
     may be killed while this one starts.
     """
-    for name in ("SIGINT", "SIGHUP"):
+    for name in ("SIGINT", "SIGHUP", "SIGTERM"):
         if hasattr(signal, name):  # Windows has no SIGHUP
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    stop_with_parent(parent)
+    stop_with_parent(parent, getattr(signal, "SIGKILL", signal.SIGTERM))

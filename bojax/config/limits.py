@@ -105,7 +105,7 @@ TEXT = Limit("bytes of text", bytes_each=20, at_least=2**24)
 """Text of a table, of curves, of JSON or of a robot. Short rows of numbers: 12 B a byte, as measured."""
 
 NUMBERS = Limit("numbers", bytes_each=16, at_least=2**24)
-"""Numbers of a table: the copy in 64 bits, and the one of the field."""
+"""Numbers of a table: the copy in 64 bits, and the copy in the field."""
 
 COUNT = Limit("entries or steps", bytes_each=64, at_least=10_000_000)
 """An integer of an experiment. A row of an array takes 8 B a number, and its size is computed in 32 bits."""

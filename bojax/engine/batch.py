@@ -131,7 +131,7 @@ class Programs:
             recorded: Largest number of lanes whose run is recorded.
             wider: The larger number of lanes that the runs come from; None if they start in these lanes.
             choices: The choices of the plan that the programs belong to; None if XLA makes none.
-            started: Called when tracing starts, once others are done, or when saved programs are loaded.
+            started: Called when tracing starts, one group at a time, or when saved programs are loaded.
         """
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
@@ -290,7 +290,7 @@ def obtain(
         key: Name under which they are saved; None if they are not.
         device: The device.
         trace: Makes the programs. Those that cannot be saved are traced when they are compiled.
-        started: Called when tracing starts, once others are done, or when saved programs are loaded.
+        started: Called when tracing starts, one group at a time, or when saved programs are loaded.
         are_remade: Whether another process may have to make the same programs, see `compile_again`.
 
     Returns:

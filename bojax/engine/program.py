@@ -35,7 +35,8 @@ _LOOPS = "WHILE", "CONDITIONAL"
 """What has to be recorded besides, so that a loop is one graph."""
 
 _PALLAS = "__gpu$xla.gpu.triton", "triton_kernel_call", "mosaic_gpu_v2"
-"""Custom calls without a promise across versions of JAX, which is not needed: the version is in the key."""
+"""Custom calls without a promise across versions of JAX, which is not needed: `program_cache` tells versions
+apart."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ class Program:
         def call(*leaves):
             return self.function(*leaves)
 
-        call.__name__ = name  # `compiled` finds the entry in JAX's cache by this name
+        call.__name__ = name  # `program_cache.compiled` finds the entry in JAX's cache by this name
         sharding = SingleDeviceSharding(device)
         inputs = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding) for leaf in self.inputs]
         jitted = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding)

@@ -270,7 +270,7 @@ class ChunkRunner:
         """Keep the summaries, snapshots and learners of finished runs, and empty their lanes."""
         queued = self._map[lanes]
         points, runs = self._chunk.points[queued], self._chunk.runs[queued]
-        # For all lanes, since the compiled program has a fixed shape; the rest is discarded.
+        # For all lanes, since the compiled program has a fixed shape; rows of unfinished runs are discarded.
         summary = jax.device_get(self._programs.summary(self._carry, self._lanes))
         columns = {name: values[lanes] for name, values in summary.items()}
         self._summaries.append({"point": points, "run": runs} | columns)

@@ -1,7 +1,9 @@
-"""Signals such as SIGINT and SIGTERM: the first stops a sweep after its segment, the second exits at once."""
+"""Signals such as SIGINT and SIGTERM: the first stops a sweep after its segment, the second exits at once.
+
+`timeout` sends SIGTERM to a process and to its group, that is twice: what comes together counts once.
+"""
 
 import contextlib
-import math
 import os
 import signal
 import socket
@@ -15,7 +17,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, *([_HANGUP] if _HANGUP else []))
 """What stops a sweep: Ctrl-C, the system or a scheduler, and a terminal that is closed."""
 
 _ECHO_SECONDS = 0.2
-"""Time in which a repeated SIGTERM counts once: `timeout` sends one to a process, and one to its group."""
+"""Time after a first SIGTERM in which others count as the same."""
 
 _ends_process = [True]
 
@@ -89,26 +91,35 @@ class StopRequest:
             self._writer.close()  # the thread reads the end of the stream and ends
 
     def _handle(self, signum: int, _: object) -> None:
-        if self._exits and signum == signal.SIGTERM:
-            time.sleep(_ECHO_SECONDS)
-        for number in self._signals if self._exits else ():
+        for number in sorted(self._signals, key=lambda number: number == signum) if self._exits else ():
+            if number == signum == signal.SIGTERM:
+                time.sleep(_ECHO_SECONDS)
             signal.signal(number, signal.SIG_IGN if number == _HANGUP else signal.SIG_DFL)
 
     def _watch(self) -> None:
-        first = -math.inf
         with self._reader:
             while received := self._reader.recv(1):
                 number = received[0]
                 if number not in self._signals:
                     continue
-                is_echo = number == self.signum == signal.SIGTERM and time.monotonic() < first + _ECHO_SECONDS
-                if self.signum is not None and (number == _HANGUP or (is_echo and self._exits)):
+                if self.signum is not None and number == _HANGUP:
                     continue
                 if self.signum is not None and self._exits:
                     os._exit(128 + number)
-                self.signum, first = number, time.monotonic()
+                self.signum = number
                 hint = "; repeat the signal to exit at once" if self._exits else ""
                 self._announce(f"stopping after this segment{hint}")
+                if number == signal.SIGTERM and self._exits:
+                    self._drop_echo(received)
+
+    def _drop_echo(self, received: bytes) -> None:
+        """Take what has come of the same signal by now, however late this thread gets the interpreter."""
+        time.sleep(_ECHO_SECONDS)
+        self._reader.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while self._reader.recv(1, socket.MSG_PEEK) == received:
+                self._reader.recv(1)
+        self._reader.setblocking(True)
 
 
 @contextlib.contextmanager
@@ -123,18 +134,19 @@ def kept() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-def stop_with_parent(parent: int | None = None) -> threading.Thread:
-    """Send SIGTERM to this process once the process that started it has ended, as when a kernel restarts.
+def stop_with_parent(parent: int | None = None, number: signal.Signals = signal.SIGTERM) -> threading.Thread:
+    """Send this process a signal once the process that started it has ended, as when a kernel restarts.
 
     Args:
         parent: The id of that process, which may have ended already; by default it is asked for now.
+        number: The signal.
     """
     parent = parent or os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()

@@ -22,8 +22,8 @@ def kernel_effects(motions: KernelTrajectories, params: Float[Array, "D"]) -> di
     Section 4.6: "Space constraints such as steering angle are determined by the space kernel kx while
     velocity and acceleration are governed by the time kernel ky." Each lengthscale is multiplied by `FACTOR`,
     one at a time. The effect of a kernel on a quantity is the root mean square of its change over the
-    trajectory, and the result is the natural logarithm of the ratio of the effects of the two kernels, that
-    of the kernel that the thesis names over the effect of the other; NaN if either has no effect.
+    trajectory, and the result is the natural logarithm of a ratio: the effect of the kernel that the
+    thesis names over the effect of the other; NaN if either has no effect.
     """
     before = _profile(motions, params)
     by_time = dataclasses.replace(motions, time_lengthscale=FACTOR * motions.time_lengthscale)

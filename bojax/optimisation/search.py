@@ -52,7 +52,7 @@ class Search:
     the noise variance are relearned after every batch.
 
     A point is proposed once only: the same point would have the same score. In the place of a repeated point,
-    the first new one of a quasi-random sequence is proposed, or of all points in order.
+    the first new one of a quasi-random sequence is proposed, or else the first new one of all points.
 
     The state depends on the seed and on what was told, in order, and on nothing else. It is computed on the
     CPU in float64, so that it does not depend on the device of the runs.
@@ -164,8 +164,9 @@ class Search:
             values = self._values(low + 0.5 * (unit + 1.0) * (high - low))
             if values not in tried:
                 return values
-        # Most of the space was tried, so that it has few points: it is one of integers and choices.
-        every = itertools.product(*(each.all_values() for each in self._axes))
+        # Most of the space was tried, so that it has few points: integers and choices.
+        sets = [each.all_values() for each in self._axes]
+        every = itertools.product(*sets) if all(sets) else ()
         return next((values for values in every if values not in tried), None)
 
 

@@ -140,7 +140,7 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
         if self.trees == 1:
             best = self.search(key, problem, belief).root_actions().recommended(self.by_value)
         else:
-            # The loops of all trees end together, like those of lanes.
+            # The loops of all trees end together, like the loops of all lanes.
             search = jax.vmap(lambda key: self.search(key, problem, belief).root_actions(), axis_name=TREES)
             roots = search(jax.random.split(key, self.trees))
             best = recommended_by_all(problem.actions, roots, self.merge_lengthscale, self.by_value)

@@ -86,6 +86,16 @@ def test_a_report_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
     assert "nothing cannot be written" in message
 
 
+def test_a_signal_to_all_processes_breaks_no_report():
+    """`timeout` sends SIGTERM to the whole group, and the main process alone decides."""
+    with Reports(in_background=True) as reports:
+        pool: Any = reports._pool
+        process = pool.submit(os.getpid).result()
+        later = pool.submit(time.sleep, 0.3)
+        os.kill(process, signal.SIGTERM)
+        assert later.result() is None and pool.submit(os.getpid).result() == process
+
+
 @pytest.fixture
 def blocks_signal():
     """Makes another thread receive Ctrl-C, as the kernel may choose."""

@@ -120,27 +120,44 @@ def test_nohup_keeps_a_sweep_running():
 
 
 WAITING = """
-import sys, time
+import ctypes, sys, threading, time
 from bojax.engine.signals import StopRequest
+def hold():  # the interpreter's lock, longer than an echo may take
+    while True:
+        ctypes.PyDLL(None).usleep(300_000)
+        time.sleep(0.001)
 with StopRequest() as stop:
+    if "busy" in sys.argv:
+        threading.Thread(target=hold, daemon=True).start()
     print("ready", flush=True)
     deadline = time.monotonic() + 60
     while not stop and time.monotonic() < deadline:
         time.sleep(0.01)
-    time.sleep(0.5)
+    print("stopping", flush=True)
+    time.sleep(1.5)
 sys.exit(3 if stop else 0)
 """
 
 
-def test_a_signal_to_the_process_and_to_its_group_counts_once():
+@pytest.mark.parametrize("is_busy", [False, True])
+def test_a_signal_to_the_process_and_to_its_group_counts_once(is_busy):
     """`timeout` sends both."""
-    command, streams = [sys.executable, "-c", WAITING], {"stdout": subprocess.PIPE}
-    with subprocess.Popen(command, start_new_session=True, **streams) as process:
+    words = [sys.executable, "-c", WAITING, *["busy"] * is_busy]
+    with subprocess.Popen(words, start_new_session=True, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None and process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGTERM)
-        time.sleep(0.01)
         os.killpg(process.pid, signal.SIGTERM)
         assert process.wait(timeout=60) == 3
+
+
+def test_a_later_signal_ends_the_process():
+    with subprocess.Popen([sys.executable, "-c", WAITING], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout.readline() == b"stopping\n"
+        time.sleep(0.6)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=60) in (-signal.SIGTERM, 128 + signal.SIGTERM)
 
 
 HELD = """

@@ -249,7 +249,7 @@ def extended(
     declaration: Declaration,
     found: Mapping[int, Iterable[Entry]],
 ) -> Multiverse:
-    """The outcomes, joined by further configurations."""
+    """The outcomes, with further configurations added."""
     # Files of earlier versions have variants and checks, which further configurations do not test.
     by_id = {claim.id: claim for claim in multiverse.counted}
     order = sorted({*multiverse.done, *found})
