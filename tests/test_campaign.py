@@ -11,14 +11,14 @@ import pytest
 
 from benchmarks.campaign import configs, damage
 from benchmarks.campaign.case import Outcome, Tally, fault_of, table
-from benchmarks.campaign.process import CommandResult
+from benchmarks.campaign.process import ChildResult
 from benchmarks.campaign.workloads import difference
 
 ROOT = Path(__file__).parents[1]
 
 
-def ended(code: int, err: str = "", *, is_late: bool = False) -> CommandResult:
-    return CommandResult(code=code, out="", err=err, wall=1.0, cpu=1.0, megabytes=100.0, is_late=is_late)
+def ended(code: int, err: str = "", *, is_late: bool = False) -> ChildResult:
+    return ChildResult(code=code, out="", err=err, wall=1.0, cpu=1.0, megabytes=100.0, is_late=is_late)
 
 
 TRACEBACK = 'Traceback (most recent call last):\n  File "/x/bojax/a.py", line 3, in f\nKeyError: 1\n'

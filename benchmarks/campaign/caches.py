@@ -12,7 +12,7 @@ from pathlib import Path
 from typing_extensions import override
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import CommandResult, run, scratch
+from benchmarks.campaign.process import ChildResult, run, scratch
 from benchmarks.campaign.spoil import spoil
 from benchmarks.campaign.workloads import ROOT, WORKLOADS, fault_in, finished
 
@@ -61,7 +61,7 @@ def _warm(name: str) -> tuple[Path, Path]:
     return cache, kept
 
 
-def _run(name: str, cache: Path, place: Path) -> CommandResult:
+def _run(name: str, cache: Path, place: Path) -> ChildResult:
     def start() -> int:
         os.environ["BOJAX_CACHE"] = str(cache)
         return WORKLOADS[name].start(place / "out")()

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.campaign.process import CommandResult
+from benchmarks.campaign.process import ChildResult
 
 MAX_LINE = 420
 """Longest error message, in characters."""
@@ -29,7 +29,7 @@ class Tally:
     short: Sequence[tuple[int, Outcome]]
 
 
-def fault_of(ended: CommandResult, codes: Iterable[int], *, alone: bool = False) -> str:
+def fault_of(ended: ChildResult, codes: Iterable[int], *, alone: bool = False) -> str:
     """Why the end of a command falls short; empty if it ended with one of `codes`, and said so properly.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import CommandResult, cli, run, scratch
+from benchmarks.campaign.process import ChildResult, cli, run, scratch
 from benchmarks.campaign.snippets import listed, odd, shown
 from benchmarks.campaign.spoil import BYTES, NO_FILES
 from benchmarks.campaign.trees import assign, at, paths
@@ -56,7 +56,7 @@ def check(seed: int) -> Outcome:
         return Outcome(given.tried, _fault(given, ended) or _written(given, ended, before, _listing(place)))
 
 
-def _fault(given: CommandLine, ended: CommandResult) -> str:
+def _fault(given: CommandLine, ended: ChildResult) -> str:
     if ended.cpu > MAX_SECONDS:
         return f"{ended.cpu:.0f} s of processor time; {ended.err[-200:]}"
     if ended.megabytes > MAX_MEGABYTES:
@@ -65,7 +65,7 @@ def _fault(given: CommandLine, ended: CommandResult) -> str:
     return fault_of(ended, codes, alone=given.stops)
 
 
-def _written(given: CommandLine, ended: CommandResult, before: set[str], after: set[str]) -> str:
+def _written(given: CommandLine, ended: ChildResult, before: set[str], after: set[str]) -> str:
     if not given.stops and ended.code == 0:
         return ""
     left = sorted(after ^ before)

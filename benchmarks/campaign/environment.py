@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import CommandResult, run, scratch
+from benchmarks.campaign.process import ChildResult, run, scratch
 from benchmarks.campaign.workloads import ROOT, WORKLOADS, contents, difference
 
 _VARIABLES = """
@@ -66,7 +66,7 @@ def _wanted() -> dict[str, bytes]:
         return contents(place / "out")
 
 
-def _run(place: Path, variables: dict[str, str]) -> CommandResult:
+def _run(place: Path, variables: dict[str, str]) -> ChildResult:
     def start() -> int:
         for name in _UNSET:
             os.environ.pop(name, None)

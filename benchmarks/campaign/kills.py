@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.campaign import tripwire
 from benchmarks.campaign.case import Outcome, fault_of
-from benchmarks.campaign.process import CommandResult, run, scratch
+from benchmarks.campaign.process import ChildResult, run, scratch
 from benchmarks.campaign.workloads import WORKLOADS, Workload, duration, finished, resumed
 
 _WORKLOADS = ("toy", "toy", "toy", "tabular", "planning", "monitoring", "learner", "hosted")
@@ -44,7 +44,7 @@ def check(seed: int) -> Outcome:
 
 def _killed(
     draw: random.Random, workload: Workload, number: int, out: Path, place: Path, *, resume: bool
-) -> tuple[CommandResult, str]:
+) -> tuple[ChildResult, str]:
     """The end of a sweep that a signal reached, and when that was, in words."""
     start = workload.start(out, resume=resume)
     how = draw.choice(["time", *_WIRES])

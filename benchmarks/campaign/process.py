@@ -29,7 +29,7 @@ Signals = Sequence[tuple[float, int]]
 
 
 @dataclass(frozen=True)
-class CommandResult:
+class ChildResult:
     """How a child ended."""
 
     code: int  # its exit code; minus the signal's number if a signal ended it
@@ -69,7 +69,7 @@ class Child:
     def __init__(self, function: Callable[[], int], place: Path, *, is_limited: bool = True):
         self._streams = tempfile.TemporaryFile(), tempfile.TemporaryFile()
         self._start = time.monotonic()
-        self._ended: CommandResult | None = None
+        self._ended: ChildResult | None = None
         self.pid = os.fork()
         if self.pid == 0:
             out, err = (each.fileno() for each in self._streams)
@@ -85,7 +85,7 @@ class Child:
         if self.poll() is None:
             os.kill(self.pid, number)
 
-    def poll(self, *, is_late: bool = False) -> CommandResult | None:
+    def poll(self, *, is_late: bool = False) -> ChildResult | None:
         """How it ended; None if it runs."""
         if self._ended is not None:
             return self._ended
@@ -94,10 +94,10 @@ class Child:
             return None
         out, err = map(_text, self._streams)
         code, cpu = os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime
-        self._ended = CommandResult(code, out, err, self.wall, cpu, usage.ru_maxrss / 1024, is_late)
+        self._ended = ChildResult(code, out, err, self.wall, cpu, usage.ru_maxrss / 1024, is_late)
         return self._ended
 
-    def wait(self, seconds: float = 90.0, signals: Signals = ()) -> CommandResult:
+    def wait(self, seconds: float = 90.0, signals: Signals = ()) -> ChildResult:
         """Wait for its end.
 
         Args:
@@ -117,7 +117,7 @@ class Child:
 
 def run(
     function: Callable[[], int], place: Path, *, signals: Signals = (), seconds: float = 90.0
-) -> CommandResult:
+) -> ChildResult:
     """Call a function in a child, and wait for its end; see `Child`."""
     return Child(function, place).wait(seconds, signals)
 

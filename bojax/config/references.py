@@ -26,13 +26,6 @@ _COLUMN = re.compile(
     r"(?P<column>\w+)(?: at step (?P<step>\d+)| of (?P<phase>episodes|tests) (?P<first>\d+)-(?P<last>\d+))?"
 )
 
-_SOURCE = re.compile(
-    r"\b(?:Figs?\.|Tables?|Sections?|Chapters?|Equations?)\s+[\d.]+\w*(?:(?:,| to| and)\s+[\d.]+\w*)*"
-    r"|\b(?:fig|table|section)-[\d.]+"  # in names of sweeps and of claims
-)
-_EQUATION = re.compile(r"(?<![\d%}] )\([2-6]\.\d+\w?\)")  # unlike a standard deviation, after no number
-_TYPED = re.compile(r"\d[\d,]*\.\d+%?|\d[\d,]*%|\bof \d[\d,]* runs\b")
-
 
 class Place(Protocol):
     """A point of a sweep, or of its results."""
@@ -109,16 +102,6 @@ def matching(points: Sequence[P], name: str) -> list[P]:
     named = [point for point in points if point.variant == variant]
     named = named or [point for point in points if point.label == variant]
     return [point for point in named if all(_has(point, value) for value in values)]
-
-
-def typed_numbers(text: str) -> list[str]:
-    """Decimal numbers, percentages and counts of runs that an explanation has typed instead of references.
-
-    Numbers of figures, tables, sections and equations do not count, nor do those in names of sweeps.
-    """
-    for pattern in (_BRACES, _SOURCE, _EQUATION):
-        text = pattern.sub(" ", text)
-    return _TYPED.findall(" ".join(text.split()))
 
 
 def _outside(text: str) -> str:

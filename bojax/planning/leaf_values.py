@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Callable
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -17,6 +18,8 @@ from bojax.problems.state_space import StateProblem
 
 Policy = Callable[[StateProblem, Key[Array, ""], Particles], Float[Array, "K"]]
 """An action for a belief: see `bojax.planning.oracles`."""
+
+S = TypeVar("S")  # what a simulation goes on from: states, or a belief
 
 
 class LeafValue(eqx.Module):
@@ -78,17 +81,6 @@ class Rollout(LeafValue):
         key_start, key_rollout = jax.random.split(key)
         starts = jax.vmap(draw_alive, (0, None))(jax.random.split(key_start, self.num_rollouts), alive)
 
-        def is_active(carry):
-            return any_lane(jnp.any(carry[2]))
-
-        def next_step(carry):
-            step, state, active, weight, total = carry
-            keys = jax.random.split(jax.random.fold_in(key_rollout, step), self.num_rollouts)
-            state, reward, ended = jax.vmap(act)(keys, state)
-            total = total + jnp.where(active, weight * reward, 0.0)
-            active = active & ~ended & (step + 1 < remaining)
-            return step + 1, state, active, weight * problem.discount, total
-
         def act(key, state):
             key_action, key_step = jax.random.split(key)
             if self.policy is None:
@@ -98,11 +90,48 @@ class Rollout(LeafValue):
                 action = self.policy(problem, key_action, known)
             return problem.step(key_step, state, action)
 
-        dtype = states.dtype
-        active = jnp.broadcast_to(remaining > 0, (self.num_rollouts,))
-        weight, total = jnp.ones((), dtype), jnp.zeros((self.num_rollouts,), dtype)
-        start = jnp.zeros((), jnp.int32), states[starts], active, weight, total
-        return jnp.mean(jax.lax.while_loop(is_active, next_step, start)[-1])
+        def act_in_all(key, state):
+            return jax.vmap(act)(jax.random.split(key, self.num_rollouts), state)
+
+        total = jnp.zeros((self.num_rollouts,), states.dtype)
+        returns = simulated_return(
+            key_rollout, act_in_all, states[starts], total, problem.discount, remaining
+        )
+        return jnp.mean(returns)
+
+
+def simulated_return(
+    key: Key[Array, ""],
+    act: Callable[[Key[Array, ""], S], tuple[S, Float[Array, "*R"], Bool[Array, "*R"]]],
+    start: S,
+    total: Float[Array, "*R"],
+    discount: Float[Array, ""],
+    remaining: Int[Array, ""],
+) -> Float[Array, "*R"]:
+    """Discounted sums of the rewards of simulations, each to its end or to the horizon.
+
+    Args:
+        key: Random key.
+        act: The next state of all simulations, their rewards, and whether they have ended.
+        start: The state at the start.
+        total: The sums before the first action, zeros.
+        discount: Discount factor.
+        remaining: Number of actions to the horizon.
+    """
+
+    def is_active(carry):
+        return any_lane(jnp.any(carry[2]))
+
+    def next_step(carry):
+        step, state, active, weight, total = carry
+        state, reward, ended = act(jax.random.fold_in(key, step), state)
+        total = total + jnp.where(active, weight * reward, 0.0)
+        active = active & ~ended & (step + 1 < remaining)
+        return step + 1, state, active, weight * discount, total
+
+    active = jnp.broadcast_to(remaining > 0, total.shape)
+    carry = jnp.zeros((), jnp.int32), start, active, jnp.ones((), total.dtype), total
+    return jax.lax.while_loop(is_active, next_step, carry)[-1]
 
 
 def draw_alive(key: Key[Array, ""], alive: Bool[Array, "M"]) -> Int[Array, ""]:

@@ -10,7 +10,7 @@ from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import matmul
 from bojax.planning.belief_planner import BeliefSearch, States
 from bojax.planning.belief_search import Expansion
-from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums
+from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums, simulated_return
 from bojax.planning.oracles import policy_named
 from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.particles import Particles, systematic
@@ -213,19 +213,12 @@ class BeliefRollout(LeafValue):
         alive: Bool[Array, "M"],
         remaining: Int[Array, ""],
     ) -> Float[Array, ""]:
-        def is_active(carry):
-            return any_lane(carry[2])
-
-        def next_step(carry):
-            step, belief, active, weight, total = carry
-            key_action, key_state, key_step = jax.random.split(jax.random.fold_in(key, step), 3)
+        def act(key, belief):
+            key_action, key_state, key_step = jax.random.split(key, 3)
             action = self.policy(problem, key_action, belief.weighted())
             state = belief.states[draw_alive(key_state, belief.alive)]
             belief, reward, ended, _ = self.belief_step(key_step, problem, belief, state, action)
-            total = total + jnp.where(active, weight * reward, 0.0)
-            active = active & ~ended & (step + 1 < remaining)
-            return step + 1, belief, active, weight * problem.discount, total
+            return belief, reward, ended
 
-        one, zero = jnp.ones((), states.dtype), jnp.zeros((), states.dtype)
-        start = jnp.zeros((), jnp.int32), ParticleSet(states, alive), remaining > 0, one, zero
-        return jax.lax.while_loop(is_active, next_step, start)[-1]
+        total = jnp.zeros((), states.dtype)
+        return simulated_return(key, act, ParticleSet(states, alive), total, problem.discount, remaining)

@@ -5,8 +5,8 @@ import re
 import pytest
 
 from bojax.config.files import available
-from bojax.config.references import typed_numbers
 from bojax.config.sweep import load_sweep
+from tests.config.typed_numbers import typed_numbers
 
 
 @pytest.fixture(scope="module")

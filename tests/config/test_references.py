@@ -9,12 +9,13 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.files import available
 from bojax.config.points import Sweep
-from bojax.config.references import Mean, OfClaim, matching, pieces, references, typed_numbers
+from bojax.config.references import Mean, OfClaim, matching, pieces, references
 from bojax.config.sweep import load_sweep
 from bojax.config.sweep_checks import check_reference
 from bojax.engine.build import build
 from bojax.results.schema import column_names
 from tests.config.test_claims import explained
+from tests.config.typed_numbers import typed_numbers
 
 
 @dataclass
