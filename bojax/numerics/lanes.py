@@ -35,6 +35,19 @@ def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
     return _largest(flag)
 
 
+def in_own_kernel(flag: Bool[Array, "..."], turn: Int[Array, ""]) -> Bool[Array, "..."]:
+    """`flag`, for the condition of a loop whose carry holds it, such that a GPU computes a condition.
+
+    Args:
+        flag: Whether the loop goes on.
+        turn: Number of the turn, from 0.
+    """
+    # With one lane, the flag of the carry is the condition, and nothing is left to compute. In a CUDA graph,
+    # XLA (of JAX 0.11.2) would then read it too early: the kernel that reads a condition waits only for those
+    # that compute it. XLA does not know that a turn is never negative, so the comparison stays.
+    return flag & (turn >= 0)
+
+
 def largest_in_lanes(number: Int[Array, ""]) -> Int[Array, ""]:
     """The largest `number` of all lanes of this device; `number` itself outside the engine."""
     # As the trip count of a loop whose length differs between lanes, it keeps the predicate unbatched.

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 
 from bojax.numerics.choices import Choice, one_of
-from bojax.numerics.lanes import any_lane, largest_in_lanes
+from bojax.numerics.lanes import any_lane, in_own_kernel, largest_in_lanes
 from bojax.numerics.simulation_keys import random_index, simulation_key
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Tree, row, upper_bound, write_row
@@ -71,10 +71,7 @@ class BeliefTreeSearch(eqx.Module):
     """
 
     gains_from_graphs: ClassVar[bool] = True
-    """Makes the engine run the loops of searches as CUDA graphs on a GPU, where launches are their limit.
-
-    The engine leaves this out where XLA would get the end of a loop wrong, as in a single search.
-    """
+    """Makes the engine run the loops of searches as CUDA graphs on a GPU, where launches are their limit."""
 
     exploration: Float[Array, ""]  # the factor c
     # Rule by which actions are added; of a discrete space all actions exist at once
@@ -246,7 +243,7 @@ class BeliefTreeSearch(eqx.Module):
         nowhere, draw = tree.totals.shape[0], self.draw_of(problem)
 
         def is_active(carry: tuple[Belief, _Descent]) -> Bool[Array, ""]:
-            return any_lane(carry[1].is_active)
+            return any_lane(in_own_kernel(carry[1].is_active, carry[1].turn))
 
         def next_level(carry: tuple[Belief, _Descent]) -> tuple[Belief, _Descent]:
             beliefs, at = carry

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
-from bojax.numerics.lanes import any_lane
+from bojax.numerics.lanes import any_lane, in_own_kernel
 from bojax.numerics.simulation_keys import random_index
 from bojax.planning.oracles import policy_named
 from bojax.problems.particles import Particles
@@ -120,7 +120,7 @@ def simulated_return(
     """
 
     def is_active(carry):
-        return any_lane(jnp.any(carry[2]))
+        return any_lane(jnp.any(in_own_kernel(carry[2], carry[0])))
 
     def next_step(carry):
         step, state, active, weight, total = carry

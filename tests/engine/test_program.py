@@ -5,8 +5,12 @@ import numpy as np
 import pytest
 
 from bojax.engine import program
+from bojax.engine.build import build
 from bojax.engine.program import GAINS_FROM_PASSES, Program
-from bojax.numerics.lanes import LANES, any_lane
+from bojax.numerics.lanes import LANES, any_lane, in_own_kernel
+from bojax.planning.settings import PFTDPW, POMCPOW, VOMCPOW
+from bojax.problems.particles import initial
+from bojax.problems.pomdp.settings import VdpTag
 
 DEVICE = jax.devices("cpu")[0]
 
@@ -35,7 +39,7 @@ def test_a_loop_on_a_flag_of_its_carry_is_no_graph(monkeypatch, num_lanes, has_k
     def halved(x):
         def goes_on(carry):
             turn, _, flag = carry
-            return any_lane(flag & (turn >= 0) if has_kernel else flag)
+            return any_lane(in_own_kernel(flag, turn) if has_kernel else flag)
 
         def halve(carry):
             turn, x, _ = carry
@@ -82,3 +86,25 @@ def test_texts_of_programs_with_and_without_a_bare_condition():
     assert is_bare(text_of("opt-barrier", "fusion"))  # unknown operations may be no kernels
     assert is_bare("ENTRY %main () -> s32[] {\n  %w = s32[] while(%x), condition=%elsewhere, body=%b\n}\n")
     assert is_bare(None)
+
+
+@pytest.mark.parametrize("settings", [POMCPOW, VOMCPOW, PFTDPW])
+def test_the_loops_of_a_single_search_on_beliefs_compute_their_conditions(settings):
+    problem, planner = build(VdpTag(), "float32"), build(settings(iterations=3, depth=2), "float32")
+    keys = jax.random.split(jax.random.key(0))
+    made = jax.make_jaxpr(lambda keys: planner.plan(keys[0], problem, initial(problem, keys[1], 4)))(keys)
+    conditions = [condition.jaxpr for condition in conditions_of(made.jaxpr)]
+    assert len(conditions) > 2
+    assert all(condition.eqns[-1].outvars == condition.outvars for condition in conditions)
+
+
+def conditions_of(jaxpr):
+    """The conditions of all loops of a program."""
+    for operation in jaxpr.eqns:
+        for name, value in operation.params.items():
+            if name == "cond_jaxpr":
+                yield value
+            for inner in value if isinstance(value, tuple | list) else (value,):
+                inner = getattr(inner, "jaxpr", inner)
+                if hasattr(inner, "eqns"):
+                    yield from conditions_of(inner)
