@@ -91,8 +91,7 @@ def measure(
             results.require_settings(results.points[i])
         settings = getattr(points[i], "config" if results is None else "experiment")
         modules[i] = build(settings, getattr(settings, "dtype", "float64"))
-    prefers_cpu = all(module.runs_on_cpu > 0 for module in modules.values())  # each is a single run
-    device, times = suited(devices, prefers_cpu=prefers_cpu)[0], {}
+    device, times = suited(devices)[0], {}
     for i, module in modules.items():
         if module.is_hosted:
             print(f"{sweep}: {points[i].variant}: not measured, its environment steps on the host")

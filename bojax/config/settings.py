@@ -28,7 +28,7 @@ class EngineConfig(Schema, frozen=True):
 
     device: Platform = Field(
         default="auto",
-        description="device to run on; auto for the GPUs, if there are any, but the CPU for tabular learners",
+        description="device to run on; auto for the GPUs, or the CPU if there are none",
     )
     lanes_per_device: int | None = Field(
         default=None,

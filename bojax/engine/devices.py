@@ -179,16 +179,9 @@ def of_platform(found: Iterable[P], platform: str) -> list[P]:
     return [each for each in found if each.platform == platform]
 
 
-def suited(devices: Sequence[Device], *, prefers_cpu: bool) -> list[Device]:
-    """The devices on which a sweep runs, all of one platform.
-
-    Args:
-        devices: The devices of this process.
-        prefers_cpu: Whether the CPU is taken if there are GPUs too, since it is quick enough for all groups.
-    """
-    cpus = of_platform(devices, "cpu")
-    others = [device for device in devices if device not in cpus]
-    return (cpus or others) if prefers_cpu else (others or cpus)
+def suited(devices: Sequence[Device]) -> list[Device]:
+    """The devices on which a sweep runs: the GPUs of this process, or else the CPU."""
+    return of_platform(devices, devices[0].platform)
 
 
 def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Device]:

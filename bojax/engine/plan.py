@@ -55,11 +55,7 @@ def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
         ResultsError: A saved learner cannot be read.
     """
     modules, groups = _grouped(sweep)
-    prefers_cpu = all(
-        len(group.points) * sweep.runs <= modules[group.points[0]].runs_on_cpu for group in groups
-    )
-    used = suited(devices, prefers_cpu=prefers_cpu)
-    return _make_plan(sweep, modules, groups, device_description(used))
+    return _make_plan(sweep, modules, groups, device_description(suited(devices)))
 
 
 def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:

@@ -142,7 +142,7 @@ class _Sink(MemorySink):
 
 def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | None) -> list[MemorySink]:
     """Run an experiment on the devices that suit it, and return what its chunks produced."""
-    devices = suited(choose(find_devices("auto"), None), prefers_cpu=runs <= experiment.runs_on_cpu)
+    devices = suited(choose(find_devices("auto"), None))
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
     lock = threading.Lock()

@@ -62,11 +62,6 @@ class Experiment(eqx.Module):
         return LANES_ON_GPU
 
     @property
-    def runs_on_cpu(self) -> int:
-        """Largest number of runs of a static group for which `engine.device: auto` is the CPU."""
-        return 0
-
-    @property
     def has_stragglers(self) -> bool:
         """Whether a few runs may take many more advances than the others."""
         return False

@@ -182,11 +182,6 @@ class LearningRun(Experiment):
 
     @property
     @override
-    def runs_on_cpu(self) -> int:
-        return self.learner.runs_on_cpu
-
-    @property
-    @override
     def has_stragglers(self) -> bool:
         return self.stop != "never"
 

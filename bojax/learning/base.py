@@ -66,12 +66,9 @@ class Learner(eqx.Module):
     Attributes:
         block: Number of steps between two calls of `flush`.
         lanes_on_cpu: Largest number of lanes per CPU device at which a batch is still fast.
-        runs_on_cpu: Largest number of runs of a static group that the CPU advances although there is a GPU,
-            because a step computes only a few numbers.
     """
 
     lanes_on_cpu: ClassVar[int] = 64
-    runs_on_cpu: ClassVar[int] = 0
 
     block: eqx.AbstractVar[int]
 

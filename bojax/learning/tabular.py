@@ -48,9 +48,6 @@ class TabularLearner(Learner):
 
     # The 200 runs of a point then fill two cores.
     lanes_on_cpu: ClassVar[int] = 100
-    # With 200 runs, Table 5.1 takes as long on two cores as on one H200, which is left to other groups. With
-    # 2,000 runs, an H100 does the work of 20 to 70 cores (benchmarks/results/2026-11-27-h100-tabular.md).
-    runs_on_cpu: ClassVar[int] = 1000
 
     discount: Float[Array, ""]
     learning_rate: Float[Array, ""]

@@ -125,9 +125,7 @@ def test_the_cpu_stands_beside_the_gpus(monkeypatch):
 
 
 def test_a_sweep_uses_devices_of_one_platform():
-    assert suited([*GPUS, CPU], prefers_cpu=True) == [CPU]
-    assert suited([*GPUS, CPU], prefers_cpu=False) == GPUS
-    assert suited(GPUS, prefers_cpu=True) == GPUS and suited([CPU], prefers_cpu=False) == [CPU]
+    assert suited([*GPUS, CPU]) == GPUS and suited([CPU]) == [CPU]
 
 
 def test_flags_with_which_no_program_runs_are_one_line(tmp_path, capsys):

@@ -147,8 +147,8 @@ class Accelerator:
 
 
 @NEEDS_CPU
-def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, monkeypatch):
-    """One sweep on each, in one go; a sweep that was begun on the GPU stays there."""
+def test_a_sweep_that_was_begun_on_the_cpu_stays_there_beside_a_gpu(folder, tmp_path, monkeypatch):
+    """Two sweeps in one go, each on the platform that it was begun on."""
     used = []
 
     class OnReal(batch.Programs):
@@ -158,27 +158,23 @@ def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, mo
 
     cpu, other = jax.devices("cpu")
     gpu = Accelerator(other)
-    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: [gpu, cpu])
     monkeypatch.setattr(tasks, "Programs", OnReal)
-    few = RUNS * 2  # two points
-    monkeypatch.setattr(Toy, "runs_on_cpu", property(lambda self: few if self.max_length == 15 else few - 1))
-    quick, usual = toy_sweep({"max_length": 15}, runs=RUNS), toy_sweep(runs=RUNS)
-    requests = [Request(quick, tmp_path / "quick"), Request(usual, tmp_path / "usual")]
-    assert run_sweeps(requests, False, ["bojax"]) == 0
-    devices = {name: read_manifest(tmp_path / name)["device"] for name in ("quick", "usual")}
+    sweeps = {"short": toy_sweep({"max_length": 15}, runs=RUNS), "usual": toy_sweep(runs=RUNS)}
+    requests = {name: Request(sweep, tmp_path / name) for name, sweep in sweeps.items()}
+    with monkeypatch.context() as patch:  # both stop before their first chunk
+        patch.setattr("bojax.engine.run.execute", lambda *_: iter(()))
+        for name, devices in (("short", [cpu]), ("usual", [gpu, cpu])):
+            patch.setattr("bojax.engine.run.find_devices", lambda _, devices=devices: devices)
+            run_sweeps([requests[name]], False, ["bojax"])
+    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: [gpu, cpu])
+    assert run_sweeps(list(requests.values()), True, ["bojax"]) == 0
+    devices = {name: read_manifest(tmp_path / name)["device"] for name in requests}
     assert {name: (each["platform"], each["count"]) for name, each in devices.items()} == {
-        "quick": ("cpu", 1),
+        "short": ("cpu", 1),
         "usual": ("gpu", 1),
     }
     assert set(used) == {(15, "cpu"), (15, "gpu"), (12, "gpu")}
     assert contents(tmp_path / "usual") == contents(folder)
-    with monkeypatch.context() as patch:  # it stops before its first chunk
-        patch.setattr("bojax.engine.run.find_devices", lambda _: [gpu])
-        patch.setattr("bojax.engine.run.execute", lambda *_: iter(()))
-        run_sweeps([Request(quick, tmp_path / "begun")], False, ["bojax"])
-    assert run_sweeps([Request(quick, tmp_path / "begun")], True, ["bojax"]) == 0
-    assert read_manifest(tmp_path / "begun")["device"]["platform"] == "gpu"
-    assert contents(tmp_path / "begun") == contents(tmp_path / "quick")
 
 
 @NEEDS_CPU
