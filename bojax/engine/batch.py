@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Int, Key, PyTree
 from bojax.engine import executables, program_cache
 from bojax.engine.autotuning import Choices, compile_again, contents_of
 from bojax.engine.devices import Device
+from bojax.engine.gpu_clients import needed_memory
 from bojax.engine.groups import StaticGroup, nodes_with
 from bojax.engine.program import GAINS, Program
 from bojax.engine.program_cache import FOUND, WRITTEN, Loaded, Traced
@@ -202,6 +203,11 @@ class Programs:
                 functions.fill, self._key, carry, lanes, everywhere, self._shared, donated=1
             )
         return programs, jax.tree.leaves(carry)
+
+    @property
+    def needed_memory(self) -> int | None:
+        """Number of bytes of the device that a batch needs at most; None if it is not known."""
+        return needed_memory(self._programs.values()) if self._is_compiled else None
 
     def _no_lanes(self) -> Lanes:
         """Inputs of all lanes, of the shapes that the programs take."""

@@ -15,6 +15,7 @@ from bojax.engine.compile_processes import CompileProcesses, Request, number_of_
 from bojax.engine.compiler import POLL_SECONDS, BackgroundCompiler
 from bojax.engine.devices import Device, new_lock, released
 from bojax.engine.errors import Stopped
+from bojax.engine.gpu_clients import shared_memory
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.scheduler import Scheduler
@@ -90,6 +91,7 @@ class _Executor:
         new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
         self._processes = CompileProcesses(number_of_processes(len(new), workers))
         self._locks = {device: new_lock(device) for device in workers}
+        self._memory = shared_memory(set(workers))
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._compile_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
@@ -183,6 +185,7 @@ class _Executor:
                 sink = task.storage.open(chunk)
                 if sink is not None:
                     runner = self._runner(task, chunk, sink, device)
+                    self._hold_memory(lock, task, device)
                     runner.advance()
                     lock.close()  # the last rows are written while another chunk uses the device
                     runner.finish()
@@ -196,6 +199,14 @@ class _Executor:
                 self._fail(task, [chunk], error)
         self._release(task)
         return True
+
+    def _hold_memory(self, lock: contextlib.ExitStack, task: GroupTask, device: Device) -> None:
+        """Hold the memory that a chunk needs until the device is unlocked, if it shares a GPU with others."""
+        if (memory := self._memory.get(device)) is not None:
+            needed = self._compiler.wait(task.key(device)).needed_memory
+            # A thread that waits for memory must hold no lock that one which has memory may wait for.
+            with released(self._locks[device]):
+                lock.enter_context(memory.held(needed))
 
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
         """The next chunk for a device. Groups that cannot be compiled fail here, with all their chunks."""

@@ -1,13 +1,15 @@
 """The tasks of a process: the static groups of its sweeps, each with the chunks that it still has to run."""
 
-from collections import deque
+import math
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
-from bojax.engine.devices import Device, workers_of
+from bojax.engine.devices import Device, of_platform, workers_of
+from bojax.engine.gpu_clients import clients_of
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
 from bojax.engine.progress import GroupProgress, SweepProgress
@@ -139,8 +141,18 @@ def progress_of(owned: Mapping[FolderStorage, Sequence[Chunk]], tasks: Sequence[
 
 
 def workers_for(
-    tasks: Iterable[GroupTask], devices: Iterable[Device], cores: int | None = None
+    tasks: Iterable[GroupTask], devices: Sequence[Device], cores: int | None = None
 ) -> list[Device]:
-    """The device of each worker, on the platforms that groups are planned for."""
-    platforms = {task.platform for task in tasks}
-    return workers_of([device for device in devices if device.platform in platforms], cores)
+    """The device of each worker, on the platforms that groups are planned for.
+
+    A GPU is several devices if it has several chunks to run.
+    """
+    num_chunks = Counter[str]()
+    for task in tasks:
+        num_chunks[task.platform] += len(task.chunks)
+    used: list[Device] = []
+    for platform, number in num_chunks.items():
+        found = of_platform(devices, platform)
+        for device in found:
+            used += clients_of(device, math.ceil(number / len(found)))
+    return workers_of(used, cores)
