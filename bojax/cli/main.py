@@ -16,7 +16,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO, cast
 
-from bojax import __version__
+from bojax import __version__, gpu_allocator
 from bojax.cli.parser import ON_WINDOWS, Parser, UsageError
 from bojax.config.errors import control_character, did_you_mean, say, shown
 from bojax.errors import INPUT_ERROR, UserError
@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Set before NumPy is imported. Runs are computed in parallel, and threads within small factorisations
     # compete for the same cores (200 of size 200 x 200 on 2 busy cores: 1 thread 0.2 s, 2 threads 7.6 s).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _choose_gpu_allocator()
+    gpu_allocator.choose()
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of folders may not be UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -145,18 +145,6 @@ def _end_output(error: OSError) -> int:
         return 0
     print(f"error: standard output cannot be written: {error.strerror}", file=sys.stderr)
     return 1
-
-
-def _choose_gpu_allocator() -> None:
-    """Let JAX take the memory of an NVIDIA GPU as it is needed, unless the user has chosen an allocator.
-
-    JAX's own allocator reserves three quarters of the memory for the first array, which takes 2 s on an H200.
-    Without that, its free memory comes in pieces: a program that needs 38 GiB at once failed while a tenth of
-    the memory was in use. The same program runs with CUDA's allocator.
-    """
-    names = "XLA_PYTHON_CLIENT_PREALLOCATE", "XLA_PYTHON_CLIENT_ALLOCATOR"
-    if not any(name in os.environ for name in names):  # JAX reads them when it starts a backend
-        os.environ.update(zip(names, ("false", "cuda_async"), strict=True))
 
 
 def entry() -> None:

@@ -206,8 +206,11 @@ class Programs:
 
     @property
     def needed_memory(self) -> int | None:
-        """Number of bytes of the device that a batch needs at most; None if it is not known."""
-        return needed_memory(self._programs.values()) if self._is_compiled else None
+        """Number of bytes of the device that a batch needs at most; None if it is not known.
+
+        What the steps of a batch on the host compute on the device is not counted, but its carry is.
+        """
+        return needed_memory(self._programs.values())
 
     def _no_lanes(self) -> Lanes:
         """Inputs of all lanes, of the shapes that the programs take."""

@@ -51,7 +51,7 @@ class Request(NamedTuple):
 
     kind: type[Programs]  # the class of the programs
     group: StaticGroup
-    device: tuple[str, int]  # platform and index of the device
+    device: tuple[str, int]  # platform and index of the device, which all clients of a GPU have in common
     num_lanes: int
     seed: int  # seed of the sweep
     recorded: int  # largest number of recorded runs of a chunk
@@ -66,7 +66,7 @@ class Request(NamedTuple):
         return cls(
             kind=task.kind,
             group=task.group,
-            device=(device.platform, device.id),
+            device=(device.platform, device.local_hardware_id),
             num_lanes=width,
             seed=task.seed,
             recorded=task.recorded,
@@ -184,7 +184,7 @@ def _serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     found = jax.devices()
     with contextlib.suppress(RuntimeError):  # JAX_PLATFORMS leaves it out
         found = [*found, *jax.devices("cpu")]
-    devices = {(each.platform, each.id): each for each in found}
+    devices = {(each.platform, each.local_hardware_id): each for each in found}
     choices: dict[Path, Choices] = {}
     while True:
         try:

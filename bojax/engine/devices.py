@@ -230,9 +230,10 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
 def new_lock(device: Device) -> AbstractContextManager[Any]:
     """What a worker holds while it uses a device.
 
-    An accelerator runs one chunk at a time, since JAX runs its programs one after another; several clients of
-    a GPU are devices of their own, see `gpu_clients`. While one worker writes the last rows of a chunk, or
-    waits for a program, the other one uses the device. Workers of a CPU hold nothing: each uses a core.
+    A device of an accelerator runs one chunk at a time, since JAX runs the programs of a device one after
+    another. A GPU that runs several has several clients, each a device of its own (`gpu_clients`). While one
+    worker writes the last rows of a chunk, or waits for a program, the other one uses the device. Workers of
+    a CPU hold nothing: each uses a core.
     """
     return nullcontext() if device.platform == "cpu" else threading.Lock()
 

@@ -91,6 +91,7 @@ class _Executor:
         new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
         self._processes = CompileProcesses(number_of_processes(len(new), workers))
         self._locks = {device: new_lock(device) for device in workers}
+        self._turns = {device: new_lock(device) for device in workers}
         self._memory = shared_memory(set(workers))
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._compile_ahead()
@@ -174,8 +175,10 @@ class _Executor:
 
     def _run_next(self, device: Device) -> bool:
         """Run a chunk on a device; False if none is ready."""
-        with contextlib.ExitStack() as lock:
-            # Locked before a chunk is taken: a thread that waits for the device keeps no chunk from others.
+        with contextlib.ExitStack() as lock, contextlib.ExitStack() as turn:
+            # Before a chunk is taken: a thread that waits for the device keeps no chunk from others. While it
+            # waits for memory, the device is not locked, but no other thread of the device takes a chunk.
+            turn.enter_context(self._turns[device])
             lock.enter_context(self._locks[device])
             if (taken := self._take(device)) is None:
                 return False
@@ -186,6 +189,7 @@ class _Executor:
                 if sink is not None:
                     runner = self._runner(task, chunk, sink, device)
                     self._hold_memory(lock, task, device)
+                    turn.close()
                     runner.advance()
                     lock.close()  # the last rows are written while another chunk uses the device
                     runner.finish()
@@ -201,12 +205,18 @@ class _Executor:
         return True
 
     def _hold_memory(self, lock: contextlib.ExitStack, task: GroupTask, device: Device) -> None:
-        """Hold the memory that a chunk needs until the device is unlocked, if it shares a GPU with others."""
+        """Hold the memory that a chunk needs until the device is unlocked, if it shares a GPU with others.
+
+        Raises:
+            Stopped: A stop was requested meanwhile.
+        """
         if (memory := self._memory.get(device)) is not None:
             needed = self._compiler.wait(task.key(device)).needed_memory
             # A thread that waits for memory must hold no lock that one which has memory may wait for.
             with released(self._locks[device]):
                 lock.enter_context(memory.held(needed))
+            if self._stop():
+                raise Stopped
 
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
         """The next chunk for a device. Groups that cannot be compiled fail here, with all their chunks."""

@@ -7,12 +7,13 @@ stream of its own: its kernels run beside those of the others. Numbers do not de
 
 import contextlib
 import ctypes
-import os
 import threading
 from collections.abc import Collection, Iterable, Iterator
 
+import jax
 from jax.stages import Compiled
 
+from bojax import gpu_allocator
 from bojax.engine.devices import Device
 
 MOST_CLIENTS = 4
@@ -27,14 +28,14 @@ _clients: dict[Device, list[Device]] = {}
 def clients_of(gpu: Device, number: int) -> list[Device]:
     """A GPU as several devices, the given one first.
 
-    It stays the only one if the GPU is not NVIDIA's, if JAX takes memory by another allocator than CUDA's
-    (each client would keep what its arrays have once taken), or if there can be no further client.
+    It stays the only one if the GPU is not NVIDIA's, if there can be no further client, or if the allocator
+    of `gpu_allocator` is not used: with others, each client would keep what its arrays have once taken.
 
     Args:
         gpu: The GPU.
         number: Number of devices, of which there are `MOST_CLIENTS` at most.
     """
-    if os.environ.get("XLA_PYTHON_CLIENT_ALLOCATOR") != "cuda_async" or total_memory(gpu) is None:
+    if not gpu_allocator.is_chosen() or total_memory(gpu) is None:
         return [gpu]
     clients = _clients.setdefault(gpu, [gpu])
     with contextlib.suppress(Exception):  # functions of jaxlib may change; one client is enough
@@ -106,7 +107,11 @@ def needed_memory(programs: Iterable[Compiled]) -> int | None:
     """Bytes of a device that programs need if they run one after another; None if XLA does not say."""
     most = 0
     for program in programs:
-        if (found := program.memory_analysis()) is None:
+        try:
+            found = program.memory_analysis()
+        except jax.errors.JaxRuntimeError:
+            return None
+        if found is None:
             return None
         held = found.argument_size_in_bytes + found.output_size_in_bytes - found.alias_size_in_bytes
         most = max(most, held + found.temp_size_in_bytes)

@@ -56,8 +56,8 @@ PACKAGES = (
 PROGRAMS, EXECUTABLES = FOLDERS = "programs", "executables"
 """Folders, beside JAX's entries, of traced programs and, for `executables`, of compiled ones."""
 
-_MOST_HELD = 8
-"""Number of groups whose programs stay in memory within `held`; the ones that were loaded last are kept."""
+_MOST_HELD = 16
+"""Number of groups, of each device, whose programs stay in memory within `held`: those loaded last."""
 
 _TAG_DIGITS = 16
 """Number of digits of a key that stand for the content of the group, whatever the version of the code."""

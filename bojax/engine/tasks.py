@@ -149,7 +149,8 @@ def workers_for(
     """
     num_chunks = Counter[str]()
     for task in tasks:
-        num_chunks[task.platform] += len(task.chunks)
+        # Each client would make its own environments for the steps on the host.
+        num_chunks[task.platform] += 1 if task.experiment.is_hosted else len(task.chunks)
     used: list[Device] = []
     for platform, number in num_chunks.items():
         found = of_platform(devices, platform)

@@ -36,7 +36,7 @@ def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
 
 
 def in_own_kernel(flag: Bool[Array, "..."], turn: Int[Array, ""]) -> Bool[Array, "..."]:
-    """`flag`, for the condition of a loop whose carry holds it, such that a GPU computes a condition.
+    """`flag`, as the condition of a loop that carries it, in a form that a GPU has to compute.
 
     Args:
         flag: Whether the loop goes on.

@@ -9,6 +9,7 @@ import pytest
 from jax.sharding import SingleDeviceSharding
 from jaxlib import xla_client
 
+from bojax import gpu_allocator
 from bojax.engine import execute, gpu_clients
 from bojax.engine.gpu_clients import DeviceMemory, clients_of, needed_memory, shared_memory
 from bojax.numerics import checkpoint
@@ -20,7 +21,8 @@ CPU = jax.devices("cpu")[0]
 @pytest.fixture
 def of_cpu(monkeypatch):
     """The CPU may have further clients."""
-    monkeypatch.setenv("XLA_PYTHON_CLIENT_ALLOCATOR", "cuda_async")
+    for name, value in gpu_allocator._CHOSEN.items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setattr(gpu_clients, "total_memory", lambda _: 2**34)
     monkeypatch.setattr(gpu_clients, "_clients", {})
     monkeypatch.setattr(xla_client, "make_c_api_client", lambda *_: xla_client.make_cpu_client())
@@ -44,9 +46,11 @@ def test_without_cudas_allocator_or_a_further_client_there_is_one(of_cpu, monkey
 
     monkeypatch.setattr(xla_client, "make_c_api_client", refuse)
     assert clients_of(CPU, 4) == [CPU]
-    monkeypatch.setenv("XLA_PYTHON_CLIENT_ALLOCATOR", "default")
     monkeypatch.setattr(xla_client, "make_c_api_client", lambda *_: pytest.fail("made"))
-    assert clients_of(CPU, 4) == [CPU]
+    for name, other in (("PREALLOCATE", "true"), ("ALLOCATOR", "default")):
+        with monkeypatch.context() as patch:
+            patch.setenv(f"XLA_PYTHON_CLIENT_{name}", other)
+            assert clients_of(CPU, 4) == [CPU]
 
 
 def test_only_gpus_of_nvidia_have_a_known_memory():
@@ -119,6 +123,7 @@ def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, of_cpu, monkeyp
 
     assert run_toy(tmp_path / "one", runs=10, devices=[0]) == 0
     monkeypatch.setattr(gpu_clients, "total_memory", lambda _: bytes_of_gpu)
+    monkeypatch.setattr(execute, "new_lock", lambda _: threading.Lock())  # as for a GPU
     monkeypatch.setattr(execute._Executor, "_runner", notes)
     monkeypatch.setattr(execute.ChunkRunner, "advance", advance)
     with monkeypatch.context() as patch:

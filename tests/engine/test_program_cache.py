@@ -208,8 +208,8 @@ def test_only_the_last_programs_are_held(cache):
     with program_cache.held():
         for number, programs in enumerate(held):
             program_cache.hold(str(number), DEVICE, programs)
-        assert program_cache.held_programs("11", DEVICE) is None
-        assert [program_cache.held_programs(str(number), DEVICE) for number in range(12, 20)] == held[12:]
+        assert program_cache.held_programs("3", DEVICE) is None
+        assert [program_cache.held_programs(str(number), DEVICE) for number in range(4, 20)] == held[4:]
     assert program_cache.held_programs("19", DEVICE) is None and not files(cache)
 
 

@@ -22,6 +22,7 @@ from typing import Any
 
 from typing_extensions import override
 
+from bojax import gpu_allocator
 from bojax.config.errors import say
 from bojax.config.extras import needed
 from bojax.config.launching import RayConfig
@@ -203,6 +204,7 @@ class _Actor:
     """A worker in a process of Ray."""
 
     def __init__(self):
+        gpu_allocator.choose()  # JAX has not started in this process
         self._is_stopping = False
 
     def work(self, folders: Sequence[str], share: int, count: int, cores: int | None) -> str | None:
