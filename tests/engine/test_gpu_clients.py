@@ -1,5 +1,7 @@
 """Several chunks at once on one GPU. A second client of the CPU stands for one of a GPU."""
 
+import os
+import signal
 import threading
 import time
 
@@ -132,3 +134,27 @@ def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, of_cpu, monkeyp
     assert len(used) > 1 and contents(tmp_path / "one") == contents(tmp_path / "two")
     if bytes_of_gpu == 100:  # no two chunks fit
         assert max(most) == 1
+
+
+@NEEDS_CPU
+def test_a_sweep_stops_while_chunks_wait_for_memory_and_resumes(tmp_path, of_cpu, monkeypatch):
+    points = {"scale": 1.0, "max_length": 400}, {"max_length": 300}, {"max_length": 30}
+    given = {"runs": 6, "segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
+    assert run_toy(tmp_path / "one", *points, devices=[0], **given) == 0
+    monkeypatch.setattr(gpu_clients, "total_memory", lambda _: 100)  # no two chunks fit
+    monkeypatch.setattr(execute, "new_lock", lambda _: threading.Lock())
+    monkeypatch.setattr("bojax.engine.run.choose", lambda *_: [CPU])
+    segment = execute.ChunkRunner._segment
+
+    def stopping(chunk):
+        found = segment(chunk)
+        os.kill(os.getpid(), signal.SIGINT)
+        while not chunk._limits.stop():
+            time.sleep(0.001)
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(execute.ChunkRunner, "_segment", stopping)
+        assert run_toy(tmp_path / "two", *points, **given) == 130
+    assert run_toy(tmp_path / "two", *points, resume=True, **given) == 0
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
