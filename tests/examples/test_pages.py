@@ -54,6 +54,12 @@ def test_pages_are_short():
             assert words <= 3000, page
 
 
+def test_numbered_lists_begin_with_1():
+    """The site numbers the items of every list from 1."""
+    for page in PAGES:
+        assert set(re.findall(r"^\n(\d+)\. ", page.read_text(), re.MULTILINE)) <= {"1"}, page
+
+
 def test_every_page_is_in_the_navigation():
     shown = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
     assert sorted(shown) == sorted(page.relative_to(DOCS).as_posix() for page in PAGES[1:])
