@@ -14,7 +14,7 @@ from bojax.engine.chunks import Chunk
 from bojax.engine.compile_processes import CompileProcesses, Request, number_of_processes
 from bojax.engine.compiler import POLL_SECONDS, BackgroundCompiler
 from bojax.engine.devices import Device, new_lock, released
-from bojax.engine.errors import Stopped
+from bojax.engine.errors import Stopped, out_of_memory
 from bojax.engine.gpu_clients import shared_memory
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import ChunkRunner
@@ -93,6 +93,7 @@ class _Executor:
         self._locks = {device: new_lock(device) for device in workers}
         self._turns = {device: new_lock(device) for device in workers}
         self._memory = shared_memory(set(workers))
+        self._alone: set[Chunk] = set()  # chunks that have run out of memory beside others
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._compile_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
@@ -188,7 +189,7 @@ class _Executor:
                 sink = task.storage.open(chunk)
                 if sink is not None:
                     runner = self._runner(task, chunk, sink, device)
-                    self._hold_memory(lock, task, device)
+                    self._hold_memory(lock, task, chunk, device)
                     turn.close()
                     runner.advance()
                     lock.close()  # the last rows are written while another chunk uses the device
@@ -200,18 +201,30 @@ class _Executor:
                 self.error = problem
                 task.storage.abandon(chunk)
             except BaseException as error:  # user's code may raise anything; a thread gets no Ctrl-C
-                self._fail(task, [chunk], error)
+                if not self._runs_again(task, chunk, device, error):
+                    self._fail(task, [chunk], error)
         self._release(task)
         return True
 
-    def _hold_memory(self, lock: contextlib.ExitStack, task: GroupTask, device: Device) -> None:
+    def _runs_again(self, task: GroupTask, chunk: Chunk, device: Device, error: BaseException) -> bool:
+        """Whether a chunk that failed is put back, to go on alone: if it lacked memory beside others."""
+        if device not in self._memory or chunk in self._alone or out_of_memory(error, 1) is None:
+            return False
+        task.storage.abandon(chunk)
+        with self._changed:
+            self._alone.add(chunk)
+            task.chunks.appendleft(chunk)
+        return True
+
+    def _hold_memory(self, lock: contextlib.ExitStack, task: GroupTask, chunk: Chunk, device: Device) -> None:
         """Hold the memory that a chunk needs until the device is unlocked, if it shares a GPU with others.
 
         Raises:
             Stopped: A stop was requested meanwhile.
         """
         if (memory := self._memory.get(device)) is not None:
-            needed = self._compiler.wait(task.key(device)).needed_memory
+            programs = self._compiler.wait(task.key(device))
+            needed = None if chunk in self._alone else programs.needed_memory
             # A thread that waits for memory must hold no lock that one which has memory may wait for.
             with released(self._locks[device]):
                 lock.enter_context(memory.held(needed))

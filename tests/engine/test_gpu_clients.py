@@ -158,3 +158,31 @@ def test_a_sweep_stops_while_chunks_wait_for_memory_and_resumes(tmp_path, of_cpu
         assert run_toy(tmp_path / "two", *points, **given) == 130
     assert run_toy(tmp_path / "two", *points, resume=True, **given) == 0
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+@NEEDS_CPU
+@pytest.mark.parametrize("fits_alone", [True, False])
+def test_a_chunk_that_runs_out_of_memory_beside_others_goes_on_alone(
+    tmp_path, of_cpu, monkeypatch, fits_alone
+):
+    assert run_toy(tmp_path / "one", runs=10, devices=[0]) == 0
+    monkeypatch.setattr(execute, "new_lock", lambda _: threading.Lock())
+    monkeypatch.setattr("bojax.engine.run.choose", lambda *_: [CPU])
+    advance, held, tried = execute.ChunkRunner.advance, DeviceMemory.held, []
+
+    def notes(memory, needed):
+        tried.append(needed)
+        return held(memory, needed)
+
+    def fails(chunk):
+        if tried.count(None) < (1 if fits_alone else 2):
+            raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory")
+        advance(chunk)
+
+    monkeypatch.setattr(DeviceMemory, "held", notes)
+    monkeypatch.setattr(gpu_clients, "MOST_CLIENTS", 2)
+    monkeypatch.setattr(execute.ChunkRunner, "advance", fails)
+    assert run_toy(tmp_path / "two", runs=10) == (0 if fits_alone else 1)
+    assert None in tried and len(tried) > tried.count(None)
+    if fits_alone:
+        assert contents(tmp_path / "one") == contents(tmp_path / "two")
