@@ -208,7 +208,7 @@ class Programs:
     def needed_memory(self) -> int | None:
         """Number of bytes of the device that a batch needs at most; None if it is not known.
 
-        What the steps of a batch on the host compute on the device is not counted, but its carry is.
+        Of a batch whose environments step on the host, only the carry is counted.
         """
         return needed_memory(self._programs.values())
 

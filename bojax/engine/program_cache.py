@@ -57,7 +57,7 @@ PROGRAMS, EXECUTABLES = FOLDERS = "programs", "executables"
 """Folders, beside JAX's entries, of traced programs and, for `executables`, of compiled ones."""
 
 _MOST_HELD = 16
-"""Number of groups, of each device, whose programs stay in memory within `held`: those loaded last."""
+"""Number of groups, counted for each device, whose programs `held` keeps in memory: those loaded last."""
 
 _TAG_DIGITS = 16
 """Number of digits of a key that stand for the content of the group, whatever the version of the code."""
