@@ -138,8 +138,8 @@ def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, of_cpu, monkeyp
 
 @NEEDS_CPU
 def test_a_sweep_stops_while_chunks_wait_for_memory_and_resumes(tmp_path, of_cpu, monkeypatch):
-    points = {"scale": 1.0, "max_length": 400}, {"max_length": 300}, {"max_length": 30}
-    given = {"runs": 6, "segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
+    points = {"scale": 1.0, "max_length": 40}, {"max_length": 30}, {"max_length": 20}
+    given = {"runs": 6, "segment_seconds": 1e-6}
     assert run_toy(tmp_path / "one", *points, devices=[0], **given) == 0
     monkeypatch.setattr(gpu_clients, "total_memory", lambda _: 100)  # no two chunks fit
     monkeypatch.setattr(execute, "new_lock", lambda _: threading.Lock())
