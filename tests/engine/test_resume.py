@@ -377,6 +377,6 @@ def test_cut_off_while_merging(copy, undamaged, monkeypatch):
 
 
 def test_deleting_a_bad_chunk_mends_it(interrupted, undisturbed):
-    (chunk,) = {path.parent for path in interrupted.glob(f"{WORK}/chunk-*/checkpoint-*")}
-    shutil.rmtree(chunk)
+    checkpoint, *_ = interrupted.glob(f"{WORK}/chunk-*/checkpoint-*")
+    shutil.rmtree(checkpoint.parent)
     resumes(interrupted, undisturbed)
