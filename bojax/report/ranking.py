@@ -33,6 +33,11 @@ class Measure:
         return f"mean {self.column.replace('_', ' ')}{bound}"
 
     @property
+    def label(self) -> str:
+        """The name of the measure on an axis."""
+        return f"mean {self.column.replace('_', ' ')}{', all runs' if self.column in ENDS else ''}"
+
+    @property
     def sign(self) -> float:
         """The factor with which more is better."""
         return -1.0 if self.is_least else 1.0

@@ -17,7 +17,7 @@ from bojax.report.exporting.content import exported
 from bojax.report.figures import draw
 from bojax.report.figures.growth import nearest_law
 from bojax.report.figures.learning_curves import limit, rolling_mean
-from bojax.report.figures.sweep_curve import curves_over
+from bojax.report.figures.sweep_curve import curves_over, swept_panel
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.report.text import MISSING
@@ -223,7 +223,16 @@ class TestSweptNumber:
     def test_any_column_can_be_drawn(self, chains):
         report = chains.report.model_copy(update={"column": "episodes_to_goal"})
         other = replace(chains, manifest=chains.manifest.model_copy(update={"report": report}))
-        assert drawn("sweep-curve", other).figure.axes[0].get_ylabel() == "mean episodes to goal"
+        assert drawn("sweep-curve", other).figure.axes[0].get_ylabel() == "mean episodes to goal, all runs"
+
+    def test_a_run_without_the_goal_counts_with_the_end_of_the_longest_run(self, chains):
+        panel, _, name, _ = swept_panel(chains, to_the_end=True)
+        assert name == "steps to goal, or to the end of the longest run,"
+        longest = chains.runs["steps"].max()
+        assert any(curve.is_partial.any() for curve in curves_over(chains, "env.length", "steps_to_goal"))
+        for curve, own in zip(panel.curves, curves_over(chains, "env.length", "steps_to_goal"), strict=True):
+            expected = np.where(np.isnan(own.values), longest, np.minimum(own.values, longest))
+            np.testing.assert_array_equal(curve.values, expected)
 
     def test_published_values_are_lines_with_their_names(self, chains):
         report = chains.report.model_copy(update={"column": "episodes_to_goal", "lines": {"a paper": 7.25}})

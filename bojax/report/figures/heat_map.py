@@ -62,7 +62,7 @@ def draw(results: Results) -> Drawing:
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, clip_on=False, **BOLD))
     label_panels(grid, heading(horizontal), heading(vertical))
     bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
-    bar.set_label(style.drawn_text(measure.words))
+    bar.set_label(style.drawn_text(measure.label))
     style.plain_ticks(bar.ax.xaxis)
     cells = {(point.variant, point.swept[horizontal], point.swept[vertical]) for point in points}
     over = ", the best over all other settings" if len(cells) < len(points) else ""

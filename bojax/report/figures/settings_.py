@@ -59,7 +59,7 @@ def draw(results: Results) -> Drawing:
                 tick.set(ha="right", rotation_mode="anchor")
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
-    label_panels(grid, None, measure.words)
+    label_panels(grid, None, measure.label)
     if len(curves) > 1:
         names = distinct(map(style.drawn_text, curves))
         style.legend(

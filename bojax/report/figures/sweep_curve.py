@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from bojax.report.budgets import times_within
 from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
-from bojax.report.ranking import ENDS
+from bojax.report.ranking import ENDS, Measure
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
 from bojax.report.text import heading, is_number, joined, number
 
@@ -18,7 +19,7 @@ WIDE = 50
 
 def draw(results: Results) -> Drawing:
     """The mean of `report.column` over the swept number `report.over`."""
-    panel, over, column, note = swept_panel(results)
+    panel, over, column, note = swept_panel(results, to_the_end=True)
     chart = Chart([panel], over, is_swept=True)
     x = np.concatenate([curve.x for curve in panel.curves])
     if 0 < WIDE * x.min() <= x.max():
@@ -33,11 +34,15 @@ def draw(results: Results) -> Drawing:
     return chart.drawing(f"{column} over {over}".capitalize(), details, note)
 
 
-def swept_panel(results: Results) -> tuple[Panel, str, str, str]:
+def swept_panel(results: Results, *, to_the_end: bool = False) -> tuple[Panel, str, str, str]:
     """The panel of `report.column` over `report.over`, and the names of both in words.
 
     Last comes a sentence for the caption if some curves are left out. Without these settings, the panel is of
     the steps to the goal, or the return, over the only swept number.
+
+    Args:
+        results: The results.
+        to_the_end: Whether a run without the goal counts with the end of the longest run, see `ENDS`.
     """
     over = _swept_number(results)
     asked = results.report.column
@@ -48,10 +53,14 @@ def swept_panel(results: Results) -> tuple[Panel, str, str, str]:
     curves = curves_over(results, over, column)
     if not curves:
         raise FigureUnavailable(f"no setting was run with several values of {over}")
-    quantity = f"mean {heading(column)}"
+    quantity, name = f"mean {heading(column)}", heading(column)
+    if to_the_end and column in ENDS:
+        measure, longest = Measure(column, is_least=True), float(results.runs[ENDS[column]].max())
+        quantity, name = measure.label, f"{measure.words.removeprefix('mean ')},"
+        curves = [replace(curve, values=times_within(curve.values, longest)) for curve in curves]
     missing = "Hollow markers: means over only those runs that have a value."
     curves, note = readable(curves, is_least=column in ENDS)
-    return Panel(quantity, quantity, curves, missing=missing), heading(over), heading(column), note
+    return Panel(quantity, quantity, curves, missing=missing), heading(over), name, note
 
 
 def readable(curves: list[Curve], *, is_least: bool) -> tuple[list[Curve], str]:
