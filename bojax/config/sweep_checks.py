@@ -30,6 +30,13 @@ def check_sweep(sweep: Sweep, file: str) -> None:
             )
     for key in ("rank_by", "column"):
         _check_column(sweep, sweep.report.get(key), f"{file}: report.{key}")
+    swept = sorted({key for point in sweep.points for key in point.swept})
+    named = {"over": [sweep.report.get("over")], "heat_map": sweep.report.get("heat_map") or ()}
+    for key, settings in named.items():
+        for name in settings:
+            if name is not None and name not in swept:
+                allowed = allowed_names(name, swept)
+                raise ConfigError(f"{file}: report.{key}: got {shown(name)}; no swept setting{allowed}")
     seen = set()
     for index, claim in enumerate(sweep.claims):
         where = f"{file}: claims.{index}"

@@ -19,6 +19,8 @@ from bojax.config.thesis import groups
 from bojax.config.yaml_file import read_mapping
 
 _ALLOWED_BASE = "allowed: a name in configs/, a YAML file or a mapping"
+_ONLY_SWEEPS = {"base", "axes", "alias"}
+"""Keys by which the file of a sweep is told from that of an experiment."""
 
 
 class Report(Schema, frozen=True):
@@ -107,7 +109,7 @@ def read_config(source: Source) -> Written:
     path = _find(source, "configs") if isinstance(source, str) else UNNAMED
     file = display(path)
     mapping = read_mapping(path, file) if isinstance(source, str) else source
-    if {"base", "axes", "alias"} & mapping.keys():
+    if _ONLY_SWEEPS & mapping.keys():
         raise ConfigError(
             f"{file}: is a sweep, not an experiment; start it with: bojax sweep {_command(source)}"
         )
@@ -210,7 +212,10 @@ def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Locati
     except ConfigError as error:
         raise ConfigError(f"{file}: base: {error}") from error
     name = display(path)
-    return read_mapping(path, name), lambda location: f"{name}: {dotted(location)}"
+    mapping = read_mapping(path, name)
+    if _ONLY_SWEEPS & mapping.keys():
+        raise ConfigError(f"{file}: base: {name} is a sweep; allowed: an experiment")
+    return mapping, lambda location: f"{name}: {dotted(location)}"
 
 
 def published_name(name: str) -> str | None:

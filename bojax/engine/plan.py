@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from bojax.config.errors import ConfigError, allowed_names, shown
 from bojax.config.limits import CHUNKS
 from bojax.config.points import Point, Sweep
 from bojax.engine.build import build
@@ -51,10 +52,12 @@ def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
         devices: The devices of this process; the sweep uses those that are `suited`.
 
     Raises:
-        ConfigError: A point cannot be built or needs too much memory, or there are too many chunks.
+        ConfigError: A point cannot be built or needs too much memory, there are too many chunks, or the
+            report names a column that no run has.
         ResultsError: A saved learner cannot be read.
     """
     modules, groups = _grouped(sweep)
+    _check_columns(sweep, modules)
     return _make_plan(sweep, modules, groups, device_description(suited(devices)))
 
 
@@ -74,6 +77,15 @@ def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mappin
     of_worker = replace(sweep, points=tuple(points))
     with for_another_machine():
         return replace(_make_plan(of_worker, *_grouped(of_worker), device), sweep=sweep)
+
+
+def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
+    """Refuse a column of the report that `runs.parquet` will not have."""
+    known = {column.name: None for module in modules for column in module.tables["runs"]}
+    for key in ("rank_by", "column"):
+        name = (sweep.report.get(key) or "").removeprefix("-")
+        if name and name not in known:
+            raise ConfigError(f"report.{key}: got {shown(name)}; unknown column{allowed_names(name, known)}")
 
 
 def _grouped(sweep: Sweep) -> tuple[list[Experiment], list[StaticGroup]]:

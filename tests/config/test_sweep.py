@@ -1,5 +1,7 @@
 """Experiment and sweep files become points: overrides, axes, defaults, aliases."""
 
+import re
+
 import pytest
 
 from bojax.config.component import Component
@@ -257,3 +259,20 @@ class TestFiles:
                 load(label, **words)
         load(label, f"{mean}, {window}")
         load("base: {}\naxes: {planner: {kcbts: {}}}", mean.replace("emu-q", "kcbts"))
+
+    @pytest.mark.parametrize(
+        ("report", "message"),
+        [
+            ("over: iterations", 'over: got "iterations"; no swept setting; allowed: planner.iterations'),
+            ("heat_map: [planner.iterations, b]", 'heat_map: got "b"; no swept setting; allowed: planner.'),
+        ],
+    )
+    def test_the_axes_of_a_figure_are_settings(self, write, report, message):
+        write("x.yaml", f"{{base: parking, axes: {{planner.iterations: [1, 2]}}, report: {{{report}}}}}")
+        with pytest.raises(ConfigError, match=rf"^x.yaml: report.{re.escape(message)}"):
+            load_sweep("x.yaml")
+
+    def test_the_base_of_a_sweep_is_no_sweep(self, write):
+        write("x.yaml", "{base: x.yaml, axes: {planner.iterations: [1, 2]}}")
+        with pytest.raises(ConfigError, match="^x.yaml: base: x.yaml is a sweep; allowed: an experiment$"):
+            load_sweep("x.yaml")

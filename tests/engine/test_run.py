@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import threading
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from bojax.engine.targets import Request, choose_targets
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
-from tests.engine.drive import NEEDS_CPU, contents, one_error, run_toy, start_toy
+from tests.engine.drive import NEEDS_CPU, contents, one_error, run_sweep, run_toy, start_toy
 from tests.tiers import by_tier
 from tests.toy import Toy, toy_sweep
 
@@ -508,6 +509,16 @@ def test_finished_sweep_resumed(folder, capsys):
     assert "already finished" in capsys.readouterr().out
     assert run_toy(folder, runs=RUNS + 1, resume=True) == 2
     assert contents(folder) == before
+
+
+@pytest.mark.parametrize("key", ["rank_by", "column"])
+def test_a_column_that_no_run_has_is_refused_before_anything_is_written(tmp_path, capsys, key):
+    sweep = toy_sweep(runs=2)
+    wrong = replace(sweep, report={**sweep.report, key: "-returns"})
+    assert run_sweep(wrong, tmp_path / "toy") == 2
+    message = one_error(capsys)
+    assert message.startswith(f'error: report.{key}: got "returns"; unknown column; allowed: ')
+    assert message.endswith('did you mean "return"?') and not (tmp_path / "toy").exists()
 
 
 def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
