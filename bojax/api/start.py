@@ -110,7 +110,7 @@ def tune(
             with `"log"`, values are searched on a logarithmic scale. A list has choices:
             `{"planner": ["kcbts", "sbo"]}`.
         metric: Column of `runs.parquet` whose mean is the score.
-        minimise: Whether less is better.
+        minimise: Whether less is better, as it always is of a time such as `steps_to_goal`.
         budget: Number of runs of the search in all.
         batch: Number of points of a round.
         confirm: Number of fresh runs of each of the best three settings; 0 for none.

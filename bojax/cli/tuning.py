@@ -76,7 +76,7 @@ def _parser(name: str) -> Parser:
     parser.option("words", "CONFIG", source, nargs="*")
     metric = "column of runs.parquet (default: return; of learners, last_return)"
     parser.option("--metric", "COLUMN", metric, column)
-    parser.flag("--minimise", "less is better")
+    parser.flag("--minimise", "less is better, as it always is of a time to a goal or target")
     parser.option("--budget", "RUNS", "runs of the search in all (default: 10 rounds)", integer)
     parser.option("--batch", "POINTS", "points of a round (default: 8)", at_least(1), default=8)
     confirm = "fresh runs of each of the best 3 settings (default: 100; 0 for none)"

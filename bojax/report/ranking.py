@@ -16,7 +16,7 @@ from bojax.results.store import ResultsError
 
 ENDS = {"steps_to_goal": "steps", "episodes_to_goal": "episodes", "episodes_to_target": "episodes"}
 """For columns that are null in a run without success: the column of the end of a run. The end of the longest
-run of all points then counts, so that no point gains by runs that ended early."""
+run of all points then counts, so that no point gains by runs that ended early. Less of them is better."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,14 @@ class RankedPoint:
     lag: Interval
 
 
+def signed(by: str) -> tuple[str, bool]:
+    """A column that may follow a minus sign, and whether less is better: with the sign, and of all times."""
+    column = by.removeprefix("-")
+    return column, by != column or column in ENDS
+
+
 def measure_of(results: Results, by: str | None = None) -> Measure:
-    """The measure that ranks points: a column, with a minus sign if less is better, as `-rmse`.
+    """The measure that ranks points: a column, with a minus sign if less is better, as `-rmse`, see `signed`.
 
     By default it is `report.rank_by`; without it `-steps_to_goal` if a learner reached a goal, and else
     `return`, or `last_return` of learners.
@@ -69,11 +75,11 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     steps = results.runs.get("steps_to_goal", np.zeros(0)).astype(np.float64)
     usual = "-steps_to_goal" if np.isfinite(steps).any() else results.return_column
     by = next(name for name in (by, results.report.rank_by, usual) if name is not None)
-    column = by.removeprefix("-")
+    column, is_least = signed(by)
     known = results.measured(results.runs)
     if column not in known:
         raise NoColumn(f"runs.parquet: unknown column {column}{allowed_names(column, known)}")
-    return Measure(column, by.startswith("-"))
+    return Measure(column, is_least)
 
 
 def ranking(results: Results, measure: Measure, most: int | None = None) -> list[RankedPoint]:

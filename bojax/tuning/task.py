@@ -15,6 +15,7 @@ from bojax.config.sweep import load_config, load_sweep
 from bojax.config.sweep_file import Source
 from bojax.engine.resolve import resolved
 from bojax.optimisation.space import Axis
+from bojax.report.ranking import signed
 from bojax.tuning.ranges import Asked, axis_of
 
 MOST_POINTS = 1000
@@ -98,11 +99,12 @@ def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], 
     rounds = _rounds(options.budget, options.batch, config.runs)
     # With a launcher, this process leaves the accelerators to workers.
     device = config.engine.device if options.launcher == "inline" else "cpu"
+    column = _metric(options.metric, config, device)
     return Task(
         config=config,
         ranges=ranges,
-        column=_metric(options.metric, config, device),
-        is_least=options.minimise,
+        column=column,
+        is_least=options.minimise or signed(column)[1],
         batch=options.batch,
         rounds=rounds,
         confirm=options.confirm,

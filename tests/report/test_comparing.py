@@ -13,7 +13,15 @@ from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
 from bojax.report.comparing.curve_files import Rows, read_curves
-from bojax.report.comparing.methods import Measure, Options, named, of_file, of_folder, task_of
+from bojax.report.comparing.methods import (
+    Measure,
+    Options,
+    measured_by,
+    named,
+    of_file,
+    of_folder,
+    task_of,
+)
 from bojax.report.comparing.scoring import scored, tasks_of
 from bojax.report.source import load
 from bojax.results.store import ResultsError
@@ -391,6 +399,14 @@ def out(tmp_path_factory):
     out, command = folder / "out", "bojax compare a --csv x.csv"
     assert compare([folder / "a"], [folder / "x.csv"], out, command=command) == out / "comparison.html"
     return folder / "out"
+
+
+@pytest.mark.parametrize("sign", ["", "-"])
+def test_less_of_a_time_is_better_with_and_without_a_minus_sign(tmp_path, sign):
+    results = load(write_learning(tmp_path / "a", runs=3, episodes=3))
+    measure = measured_by([results], Options(sign + "steps_to_goal"))
+    assert (measure.column, measure.is_least) == ("steps_to_goal", True)
+    assert measured_by([results], Options(sign + "success")).is_least == bool(sign)
 
 
 class TestPage:

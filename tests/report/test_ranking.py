@@ -96,7 +96,7 @@ def test_shares_have_the_interval_of_wilson():
 def test_a_run_that_never_reaches_its_goal_counts_with_its_end(tmp_path):
     results = load(write_learning(tmp_path / "a"))
     measure = measure_of(results)
-    assert measure == Measure("steps_to_goal", is_least=True)
+    assert measure == measure_of(results, "steps_to_goal") == Measure("steps_to_goal", is_least=True)
     labels = [each.point.label for each in ranking(results, measure)]
     assert labels == ["emu-q", "rff-q", "epsilon-greedy"]
     runs = results.runs_of(results.points[1])

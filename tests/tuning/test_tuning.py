@@ -327,8 +327,10 @@ def test_the_metric_is_a_return_and_an_integer_may_fix_a_shape(monkeypatch):
     for words in (
         "parking planner.iterations=10:50 planner.exploration=1:100:log",
         "chain learner.kappa=0:1",
+        "chain learner.kappa=0:1 --metric steps_to_goal",
     ):
         assert main(["tune", *words.split()]) == 0
-    assert [task.column for task in asked] == ["return", "last_return"]
+    assert [task.column for task in asked] == ["return", "last_return", "steps_to_goal"]
+    assert [task.is_least for task in asked] == [False, False, True]  # less of a time is better
     assert asked[0].recompiled == ("planner.iterations",)
     assert [each.is_integer for each in asked[0].ranges] == [True, False]

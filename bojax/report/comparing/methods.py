@@ -19,7 +19,7 @@ from bojax.report.comparing.logs.grouping import rows_of
 from bojax.report.comparing.logs.opening import Source
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
-from bojax.report.ranking import ENDS
+from bojax.report.ranking import ENDS, signed
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted, distinct, printed
@@ -136,7 +136,7 @@ def measured_by(results: Sequence[Results], options: Options, *, has_logs: bool 
         for each in results:
             if not each.episodes or not (each.episodes["phase"] == "test").any():
                 raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, options)
+    return Measure(*signed(metric), kind, axis, options)
 
 
 def methods_of(results: Sequence[Results], sources: Sequence[Source], measure: Measure) -> list[Method]:

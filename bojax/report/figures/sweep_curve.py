@@ -7,7 +7,7 @@ import numpy as np
 from bojax.report.budgets import times_within
 from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
-from bojax.report.ranking import ENDS, Measure
+from bojax.report.ranking import ENDS, Measure, signed
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
 from bojax.report.text import heading, is_number, joined, number
 
@@ -59,7 +59,7 @@ def swept_panel(results: Results, *, to_the_end: bool = False) -> tuple[Panel, s
         quantity, name = measure.label, f"{measure.words.removeprefix('mean ')},"
         curves = [replace(curve, values=times_within(curve.values, longest)) for curve in curves]
     missing = "Hollow markers: means over only those runs that have a value."
-    curves, note = readable(curves, is_least=column in ENDS)
+    curves, note = readable(curves, is_least=signed(column)[1])
     return Panel(quantity, quantity, curves, missing=missing), heading(over), name, note
 
 
