@@ -1,6 +1,7 @@
 """The page of a search over settings, from the files of its folder."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ from bojax.optimisation.drawing import draw_progress, draw_slice
 from bojax.optimisation.space import Axis, Choice
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
-from bojax.report.manifest import Count, Recorded, validated
+from bojax.report.manifest import Count, Recorded, read, validated
 from bojax.report.page import provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
@@ -16,7 +17,7 @@ from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
 from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
-from bojax.results.store import ResultsError, read_json, write_content
+from bojax.results.store import MANIFEST, ResultsError, read_json, read_manifest, write_content
 from bojax.tuning.ranges import axis_from, described
 
 TUNING = "tuning.json"
@@ -116,7 +117,6 @@ def round_folder(search: Path, number: int) -> Path:
 def build_page(folder: Path) -> Path:
     """Write `report.html` of a finished search, and return its path."""
     tuning = read_tuning(folder)
-    last = load(round_folder(folder, tuning.points[-1].round))
     fresh = None if tuning.confirmed is None else load(folder / tuning.confirmed)
     with style.settings():
         plates = [draw(tuning).encoded() for draw in (_draw_slices, _draw_progress)]
@@ -132,12 +132,22 @@ def build_page(folder: Path) -> Path:
             (each.key, _range(each), plain(tuning.best.values[i])) for i, each in enumerate(tuning.ranges)
         ],
         folder=folder.name,
-        provenance=provenance(last),
+        provenance=_provenance(tuning, folder),
         footer="Written by bojax from the files of this folder, which hold every number shown here.",
     )
     path = folder / "report.html"
     write_content(path, page)
     return path
+
+
+def _provenance(tuning: Tuning, folder: Path) -> list[tuple[str, str]]:
+    """Provenance of the last round, with the time that all rounds and the fresh runs took."""
+    *earlier, last = (round_folder(folder, number) for number in range(tuning.points[-1].round + 1))
+    others = earlier if tuning.confirmed is None else [*earlier, folder / tuning.confirmed]
+    results = load(last)
+    manifests = [results.manifest, *(read(read_manifest(each), str(each / MANIFEST)) for each in others)]
+    groups = [group for each in manifests for group in each.groups]
+    return provenance(replace(results, manifest=results.manifest.model_copy(update={"groups": groups})))
 
 
 def _summary(tuning: Tuning, fresh: Results | None) -> str:

@@ -21,6 +21,7 @@ from bojax.config.sweep import load_config
 from bojax.engine import batch
 from bojax.engine.worker import WorkerOptions, run_worker
 from bojax.report.source import load
+from bojax.report.text import seconds
 from bojax.results.folder import make_new
 from bojax.tuning.page import read_tuning
 from bojax.tuning.rounds import _Rounds
@@ -86,6 +87,9 @@ def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
     assert len(cells) == 4  # sorted by their place in the search
     assert all(key == (text.split(" of ")[0] if " of " in text else "") for key, text in cells)
     assert "as written in the config" in page and "learner.learning_rate" in page
+    manifests = [load(path.parent).manifest for path in undisturbed.rglob("manifest.json")]
+    run, build = (sum(getattr(each, f"{name}_seconds") for each in manifests) for name in ("run", "compile"))
+    assert len(manifests) == 4 and f"{seconds(run)} of run time, {seconds(build)} of compilation" in page
 
 
 def test_python_reads_what_a_search_has_found(undisturbed):
