@@ -1,9 +1,12 @@
 """The page of a search over settings, from the files of its folder."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bojax.optimisation.drawing import draw_progress, draw_slice
 from bojax.optimisation.space import Axis, Choice
@@ -11,12 +14,12 @@ from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Recorded, read, validated
 from bojax.report.page import provenance
-from bojax.report.ranking import Measure, ranking
+from bojax.report.ranking import Measure, RankedPoint, ranking
 from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
 from bojax.report.template import fill
-from bojax.report.text import counted, heading, number, plain
+from bojax.report.text import counted, heading, joined, number, plain
 from bojax.results.store import MANIFEST, ResultsError, read_json, read_manifest, write_content
 from bojax.tuning.ranges import axis_from, described
 
@@ -71,6 +74,7 @@ class Tuning(Recorded):
     noise_std: float
     slices: list[Slice]
     confirmed: str | None
+    written: list[Value] | None = None  # values in the config as written, if it has all of the tuned settings
 
     @property
     def ranges(self) -> list[Axis]:
@@ -155,28 +159,49 @@ def _summary(tuning: Tuning, fresh: Results | None) -> str:
     runs = len(tuning.points) * plan.runs
     found = (
         f"{counted(len(tuning.points), 'point')} with {counted(plan.runs, 'run')} each, "
-        f"{counted(runs, 'run')} in all. The best setting is {described(tuning.ranges, best.values)}: the "
-        f"model expects a {tuning.measure.words} of {number(best.mean)}"
+        f"{counted(runs, 'run')} in all. The best setting of the search is "
+        f"{described(tuning.ranges, best.values)}: given these runs, the model expects a "
+        f"{tuning.measure.words} of {number(best.mean)}"
     )
     if fresh is None:
         return f"{found}."
-    means = {each.point.index: each.mean for each in ranking(fresh, tuning.measure)}
+    ranked = ranking(fresh, tuning.measure)
+    means = {each.point.index: each.mean for each in ranked}
     if 0 not in means:
         return f"{found}; some fresh runs have no finite value."
     mean, bounds = means[0].in_words()
-    return f"{found}, and {counted(fresh.manifest.runs or 0, 'fresh run')} have {mean} {bounds}."
+    found = f"{found}, and {counted(fresh.manifest.runs or 0, 'fresh run')} have {mean} {bounds}."
+    written = written_if_not_worse(ranked, tuning.measure, tuning.written)
+    if written is None:
+        return found
+    return f"{found} The config as written is not worse on fresh runs: {' '.join(written.mean.in_words())}."
+
+
+def written_if_not_worse(
+    ranked: Sequence[RankedPoint], measure: Measure, written: Sequence[Any] | None
+) -> RankedPoint | None:
+    """The config as written among the fresh runs, if its mean is at least as good as the best setting's."""
+    best = next((measure.sign * each.mean.estimate for each in ranked if each.point.index == 0), np.inf)
+    for each in ranked:
+        is_written = written is not None and [*each.point.swept.values()] == [*written]
+        if is_written and each.point.index and measure.sign * each.mean.estimate >= best:
+            return each
+    return None
 
 
 def _confirmed(tuning: Tuning, fresh: Results) -> Table:
     """The best points and the config as written, on fresh runs."""
-    rows = []
-    keys = [each.key for each in tuning.ranges]
+    rows, alike = [], {}
+    keys, columns = [each.key for each in tuning.ranges], fresh.measured(fresh.runs)
     ranked = ranking(fresh, tuning.measure)
     for each in ranked:
         values = [each.point.swept[key] for key in keys]
         expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
         place = expected.get(tuple(values))  # whole numbers are equal as integers and as floats
-        name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
+        name, written = f"{place} of {len(tuning.order)}", "as written in the config"
+        name = written if not place else f"{name} ({written})" if values == tuning.written else name
+        runs = fresh.runs_of(each.point)
+        alike.setdefault(b"".join(runs[column].tobytes() for column in columns), []).append(name)
         cells = [Cell(name, key=place or ""), *score_cells(each, ranked[0])]
         rows.append([*cells, *map(setting_cell, values)])
     headings = ["in the search", tuning.measure.words, LAG, *keys]
@@ -184,6 +209,9 @@ def _confirmed(tuning: Tuning, fresh: Results) -> Table:
         f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
         f"not seen; 95% intervals in brackets. {BEHIND}"
     )
+    for names in alike.values():
+        if len(names) > 1:
+            caption += f" Equal in every run: {joined(names)}; what they differ in has no effect there."
     return Table.ranked(headings, rows, caption)
 
 
@@ -197,12 +225,14 @@ def _ranked(tuning: Tuning) -> Table:
         score = Cell(number(point.score), key="" if point.score is None else point.score)
         values = map(setting_cell, point.values)
         rows.append([expected, score, *values, count_cell(point.round + 1)])
-    headings = [f"expected {tuning.measure.words}", "score", *(each.key for each in tuning.ranges), "round"]
+    headings = ["modelled score", "score", *(each.key for each in tuning.ranges), "round"]
     caption = (
         f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, "
-        f"its 95% interval in brackets. Score: the mean of {counted(tuning.plan.runs, 'run')}. The standard "
-        f"deviation of the noise of a score is {number(tuning.noise_std)}, as learned by the model. The best "
-        "point was chosen by these runs, so its mean is optimistic."
+        f"its 95% interval in brackets. Score: {tuning.measure.words}, of {counted(tuning.plan.runs, 'run')} "
+        "with the same random numbers for all points. The intervals, and the standard deviation of the noise "
+        f"of a score that the model learned, {number(tuning.noise_std)}, are given these runs: they leave "
+        "out the luck of the runs, and fresh runs decide. The best point was chosen by these runs, so its "
+        "score is optimistic."
     )
     return Table.ranked(headings, rows, caption)
 
@@ -227,9 +257,10 @@ def _draw_slices(tuning: Tuning) -> Drawing:
     return Drawing(
         figure,
         f"{tuning.measure.words} over each setting".capitalize(),
-        "Line and band: posterior mean and 95% interval of the mean without noise, the other settings as at "
-        "the best point (diamond). Dots: scores of all points, whose other settings differ.",
-        f"The model expects {number(best.mean)} at the best point.",
+        "Line and band: posterior mean of a score without noise and its 95% interval, given the runs of the "
+        "search, the other settings as at the best point (diamond). Dots: scores of all points, whose other "
+        "settings differ.",
+        f"The model expects a score of {number(best.mean)} at the best point.",
     )
 
 

@@ -24,7 +24,15 @@ from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import Point, load
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
-from bojax.tuning.page import TUNING, build_page, is_search, read_tuning, round_folder, round_name
+from bojax.tuning.page import (
+    TUNING,
+    build_page,
+    is_search,
+    read_tuning,
+    round_folder,
+    round_name,
+    written_if_not_worse,
+)
 from bojax.tuning.ranges import described, value_at
 from bojax.tuning.task import Task
 
@@ -178,19 +186,27 @@ class _Rounds:
         """
         task, config = self._task, self._task.config
         points = [self._tried[index].values for index in order[:TOP]]
-        written = [value_at(config.points[0].config, key) for key in self._keys]
-        known = tuple(value for value in written if value is not None)
-        if len(known) == len(written) and known not in points:
-            points.append(known)
+        written = self._written()
+        if written is not None and written not in points:
+            points.append(written)
         name = f"confirm-{len(self._tried)}-{task.confirm}"
         changes = {"runs": task.confirm, "seed": (config.seed + 1) % 2**32}
         sweep = task.sweep(points, name, **changes, record=config.record.model_dump(mode="json"))
         if code := self._run(sweep, self._folder / name):
             return code
-        for each in ranking(load(self._folder / name), self._measure):
+        ranked = ranking(load(self._folder / name), self._measure)
+        for each in ranked:
             if each.point.index == 0:
-                print(f"the best setting on fresh runs: {scored(self._measure, each)}")
+                print(f"the best setting of the search on fresh runs: {scored(self._measure, each)}")
+        if better := written_if_not_worse(ranked, self._measure, written):
+            print(f"the config as written, which is not worse there: {scored(self._measure, better)}")
         return name
+
+    def _written(self) -> Values | None:
+        """The tuned settings in the config as written; None if it does not have all of them."""
+        written = [value_at(self._task.config.points[0].config, key) for key in self._keys]
+        known = tuple(value for value in written if value is not None)
+        return known if len(known) == len(written) else None
 
     def _write(self, order: Sequence[int], confirmed: str | None) -> None:
         """Write the config of the best point, and what the report reads."""
@@ -214,6 +230,7 @@ class _Rounds:
                 "noise_std": self._search.noise_std,
                 "slices": [self._slice(index, best.values) for index in range(len(task.ranges))],
                 "confirmed": confirmed,
+                "written": self._written(),
             },
         )
 

@@ -23,7 +23,7 @@ from bojax.engine.worker import WorkerOptions, run_worker
 from bojax.report.source import load
 from bojax.report.text import seconds
 from bojax.results.folder import make_new
-from bojax.tuning.page import read_tuning
+from bojax.tuning.page import _confirmed, _ranked, _summary, read_tuning
 from bojax.tuning.rounds import _Rounds
 from tests.engine.in_process import InProcessLauncher
 from tests.engine.test_program_cache import caching_in
@@ -90,6 +90,24 @@ def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
     manifests = [load(path.parent).manifest for path in undisturbed.rglob("manifest.json")]
     run, build = (sum(getattr(each, f"{name}_seconds") for each in manifests) for name in ("run", "compile"))
     assert len(manifests) == 4 and f"{seconds(run)} of run time, {seconds(build)} of compilation" in page
+
+
+def test_the_page_says_what_fresh_runs_show_of_the_best_setting(undisturbed):
+    tuning, fresh = read_tuning(undisturbed), load(undisturbed / "confirm-9-4")
+    first, second, written = (fresh.runs["point"] == index for index in (0, 1, 3))
+    fresh.runs.update({name: values.copy() for name, values in fresh.runs.items()})
+    times = fresh.runs["steps_to_goal"]
+    assert tuning.written == [0.1, 0.99]
+    for steps, is_told in ((10, False), (9, True), (8, True)):
+        times[first], times[written] = 9, steps
+        assert (f"as written is not worse on fresh runs: {steps} [" in _summary(tuning, fresh)) == is_told
+    alike = "Equal in every run: 1 of 9 and 2 of 9; what they differ in has no effect there."
+    assert alike not in _confirmed(tuning, fresh).caption
+    for column in fresh.measured(fresh.runs):
+        fresh.runs[column][second] = fresh.runs[column][first]
+    assert alike in _confirmed(tuning, fresh).caption
+    caption = _ranked(tuning).caption
+    assert "leave out the luck of the runs" in caption and "Score: mean steps to goal, or" in caption
 
 
 def test_python_reads_what_a_search_has_found(undisturbed):
@@ -196,7 +214,8 @@ def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     out = shutil.copytree(undisturbed, tmp_path / "search")
     assert tune(out, "--resume") == 0
     assert contents(out) == contents(undisturbed)
-    capsys.readouterr()
+    is_told = "The config as written is not worse on" in (out / "report.html").read_text()
+    assert ("the config as written, which is not worse there: mean" in capsys.readouterr().out) == is_told
     assert tune(out, "--resume", "learner.initial_q=1") == 2
     assert "cannot resume, its plan has changed: config.learner: additive -> " in capsys.readouterr().err
 
