@@ -67,6 +67,10 @@ class Interval:
             return percent(self.estimate), f"[{percent(self.low)}, {percent(self.high)}]"
         return with_bounds(self.estimate, self.low, self.high)
 
+    def within(self, least: float, most: float) -> "Interval":
+        """The same with its bounds cut to the possible values of what is estimated."""
+        return Interval(self.estimate, max(self.low, least), min(self.high, most))
+
 
 _tail: ContextVar[float] = ContextVar("_tail", default=TAIL)
 

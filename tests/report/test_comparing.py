@@ -344,6 +344,28 @@ class TestTables:
         interval = tables.difference(b, a)
         assert (interval.low, interval.high) == pytest.approx((test.low, test.high))
 
+    def test_scores_that_are_0_or_1_are_shares(self, tmp_path):
+        measure = Measure("success", False, "learning", "episode", Options(last=1))
+        results = load(write_learning(tmp_path / "a", runs=10, tests=0))
+        *_, rff_q, none = found = scored(of_folder(results, measure), measure)
+        (task,) = tasks_of(found, measure, None)
+        cells = [tables.scores(task, measure).rows[place][1] for place in (1, 2)]
+        assert [cells[0][1].text, cells[1][1].text] == ["90.0%", "0.0%"]
+        assert cells[1][1].interval == "[0.0%, 27.8%]" and none.mean.high == pytest.approx(0.278, abs=1e-3)
+        both = np.stack([none.scores, rff_q.scores], axis=1)
+        assert tables.difference(none, rff_q) == statistics.paired_shares(both, [1, -1])
+        assert tables.difference(none, replace(rff_q, seed=1)) == statistics.share_difference(0, 10, 9, 10)
+
+    def test_bounds_of_mean_rates_are_possible_rates(self, tmp_path):
+        measure = Measure("success", False, "learning", "step", Options(last=2))
+        runs = {"a": [([1, 2], pair) for pair in ([0, 1], [1, 1], [1, 1])], "b": [([1, 2], [0, 0])] * 3}
+        a, b = curves_of(tmp_path / "x.csv", runs, measure)
+        assert a.scores.tolist() == [0.5, 1, 1] and not a.is_share and b.is_share
+        assert a.mean.high == 1 and b.mean == statistics.share_interval(b.scores)
+        assert tables.difference(b, a).low == -1
+        percent = {"a": [([1], [50]), ([1], [100])]}
+        assert curves_of(tmp_path / "x.csv", percent, measure)[0].mean.high > 100
+
     def test_less_is_better_with_a_minus_sign(self, tmp_path):
         measure = Measure("episodes", True, "learning", "episode")
         found = scored(of_folder(load(write_learning(tmp_path / "a", runs=6)), measure), measure)

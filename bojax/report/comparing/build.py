@@ -129,10 +129,7 @@ def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
 
 def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
     methods, reference = task.methods, task.reference
-    means = [
-        (statistics.share_interval if each.is_share else statistics.mean_interval)(each.scores)
-        for each in methods
-    ]
+    means = [each.mean for each in methods]
     iqms = [statistics.iqm_interval([each.scores]) for each in methods]
     better = [
         statistics.Interval() if each is reference else tables.improvement([(each, reference)], measure)

@@ -21,7 +21,7 @@ from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
 from bojax.report.ranking import ENDS, signed
 from bojax.report.source import Point, Results
-from bojax.report.statistics import Floats
+from bojax.report.statistics import Floats, Interval, mean_interval, share_interval
 from bojax.report.text import counted, distinct, printed
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
@@ -80,7 +80,7 @@ class Method:
     has_nan: NDArray[np.bool_]  # `[runs]` runs without a score
     has_curve: bool = True  # False of a column with one value per run
     seed: int | None = None  # None of other libraries, whose points have no settings
-    is_share: bool = False  # whether scores are 0 or 1
+    is_rate: bool = False  # whether scores are 0 or 1, or means of such values
     log_column: str = ""  # column of a log of another library
     # Set by `scored`:
     scores: Floats = field(default_factory=lambda: np.zeros(0))  # `[runs]`
@@ -101,6 +101,19 @@ class Method:
     def without_value(self) -> list[int]:
         """Indices of the runs that logged no value up to the budget of the scores."""
         return self._runs([self.has_curve and not (each.x <= self.at).any() for each in self.series])
+
+    @property
+    def is_share(self) -> bool:
+        """Whether every run either succeeds or fails, so that the mean score is a share of runs."""
+        return self.is_rate and bool(np.isin(self.scores, (0, 1)).all())
+
+    @property
+    def mean(self) -> Interval:
+        """Mean score with its interval, that of a rate between 0 and 1; NaN if a score is NaN."""
+        if self.is_share:
+            return share_interval(self.scores)
+        mean = mean_interval(self.scores)
+        return mean.within(0, 1) if self.is_rate else mean
 
     def _runs(self, chosen: Sequence[bool]) -> list[int]:
         return [int(run) for run, is_chosen in zip(self.run, chosen, strict=True) if is_chosen]
@@ -216,9 +229,10 @@ def of_folder(results: Results, measure: Measure) -> list[Method]:
         )
     methods = []
     has_curve = measure.column in ([PLANNING_CURVE] if measure.kind == "planning" else results.episodes)
+    table = results.episodes if has_curve else results.runs
+    is_rate = measure.column in table and table[measure.column].dtype.kind == "b"
     for point in results.run_points:
         runs = results.runs_of(point)
-        of_runs = runs.get(measure.column, np.zeros(0))
         world = point.env or point.problem
         methods.append(
             Method(
@@ -230,7 +244,7 @@ def of_folder(results: Results, measure: Measure) -> list[Method]:
                 has_curve & (runs.get("nans", np.zeros(runs["run"].size)) > 0),
                 has_curve,
                 seed=results.manifest.seed,
-                is_share=not has_curve and of_runs.dtype.kind == "b",
+                is_rate=is_rate,
             )
         )
     if not methods:
@@ -287,11 +301,10 @@ def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> li
         is_final = measure.kind == "planning" or not each.has_curve
         series = [Series(x, values, float(x[-1]), is_final) for x, values in each.runs.values()]
         run, has_nan = np.asarray(list(each.runs)), np.zeros(len(series), bool)
-        methods.append(
-            Method(
-                point, path, each.task or task, run, series, has_nan, each.has_curve, log_column=each.column
-            )
-        )
+        own = point, path, each.task or task, run, series, has_nan, each.has_curve
+        values = np.concatenate([one.values for one in series])
+        is_rate = measure.column == "success" and 0 <= values.min() and values.max() <= 1
+        methods.append(Method(*own, is_rate=bool(is_rate), log_column=each.column))
     return methods
 
 

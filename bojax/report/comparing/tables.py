@@ -80,7 +80,9 @@ def scores(task: Task, measure: Measure) -> tables.Table:
         middle = statistics.iqm_interval([each.scores])
         cells = [
             tables.count_cell(each.scores.size),
-            (tables.share_cell if each.is_share else tables.mean_cell)(each.scores),
+            tables.interval_cell(each.mean, as_percent=each.is_rate)
+            if np.isfinite(each.scores).all()
+            else tables.mean_cell(each.scores),
             tables.interval_cell(middle),
         ]
         if each is reference:
@@ -126,7 +128,7 @@ def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.T
 def difference(method: Method, reference: Method) -> Interval:
     """Difference of the mean scores: over paired runs, otherwise Welch's; of shares, Newcombe's.
 
-    NaN for fewer than two runs or a NaN among the scores.
+    That of two rates is between -1 and 1. NaN for fewer than two runs or a NaN among the scores.
     """
     first, second = method.scores, reference.scores
     is_known = np.isfinite(first).all() and np.isfinite(second).all()
@@ -135,14 +137,16 @@ def difference(method: Method, reference: Method) -> Interval:
     is_share = method.is_share and reference.is_share
     if method.is_paired_with(reference):
         both = np.stack([first, second], axis=1)
-        return (
+        found = (
             statistics.paired_shares(both, [1, -1]) if is_share else statistics.mean_interval(first - second)
         )
-    if is_share:
+    elif is_share:
         hits = [(int(scores.sum()), scores.size) for scores in (first, second)]
-        return statistics.share_difference(*hits[0], *hits[1])
-    moments = [(float(scores.mean()), float(scores.std(ddof=1)), scores.size) for scores in (first, second)]
-    return statistics.welch_difference(moments[0], moments[1])
+        found = statistics.share_difference(*hits[0], *hits[1])
+    else:
+        moments = [(float(each.mean()), float(each.std(ddof=1)), each.size) for each in (first, second)]
+        found = statistics.welch_difference(moments[0], moments[1])
+    return found.within(-1, 1) if method.is_rate and reference.is_rate else found
 
 
 def improvement(pairs: Sequence[tuple[Method, Method]], measure: Measure) -> Interval:
