@@ -4,13 +4,13 @@ A budget is a number of steps or episodes. A run that has ended keeps its last v
 success ended the run, or if a planning episode is over. A run that ended early otherwise was cut off.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bojax.report.statistics import Floats
+from bojax.report.statistics import Floats, Interval, time_interval
 
 KEPT = "A run that its success ended keeps its last value."
 """Sentence of the captions of figures by episode, where some run ended so."""
@@ -96,3 +96,18 @@ def times_within(times: Floats, budget: float) -> Floats:
     with its own end, since it would gain by ending.
     """
     return np.fmin(times, budget)
+
+
+def interval_of_times(times: Floats, ends: Floats, counted: Floats) -> Callable[[Floats], Interval]:
+    """What gives the interval of mean times to an event, between 1 and the longest end of the runs.
+
+    There is no upper limit if every run ended with its event, since it might have taken longer.
+
+    Args:
+        times: Times of all runs of a setting, NaN for never.
+        ends: Ends of these runs.
+        counted: What they count with.
+    """
+    is_limited = ((ends > times) | (counted != times)).any()
+    most = max(ends.max(), counted.max()) if is_limited else np.inf
+    return lambda chosen: time_interval(chosen).within(1.0, float(most))

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from bojax.config.changed import leaves
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
+from bojax.report.budgets import interval_of_times
 from bojax.report.ranking import RankedPoint, measure_of, ranking
 from bojax.report.source import Point, Results, swept_keys
 from bojax.report.text import MISSING, counted, heading, is_number, joined, number, plain, seconds
@@ -309,7 +309,8 @@ def among_cell(values: np.ndarray, interval: _IntervalOf = statistics.mean_inter
 def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
     """Lower bound of the mean over all runs: a run that never reached the goal counts with its end."""
     is_there = np.isfinite(values)
-    text, bounds = statistics.time_interval(np.where(is_there, values, ends)).in_words()
+    counted = np.where(is_there, values, ends)
+    text, bounds = interval_of_times(values, ends, counted)(counted).in_words()
     return Cell(text if is_there.all() else f"\N{GREATER-THAN OR EQUAL TO} {text}", bounds)
 
 
@@ -337,14 +338,15 @@ def setting_cell(value: Any) -> Cell:
     return Cell(plain(value), key=value if is_number(value) else plain(value))
 
 
-_times_among = partial(among_cell, interval=statistics.time_interval)
+def _times_among(values: np.ndarray, ends: np.ndarray) -> Cell:
+    return among_cell(values, interval_of_times(values, ends, np.where(np.isfinite(values), values, ends)))
 
 
 def _times(column: str, end: str) -> list[_Measure]:
     """When a goal was reached, NaN for never, in runs that ended at `end`."""
     words = heading(column)
     return [
-        _Measure(f"{words}, runs that reached it", column, _times_among),
+        _Measure(f"{words}, runs that reached it", column, _times_among, (column, end)),
         _Measure(f"{words}, all runs", f"{column}_of_all", censored_cell, (column, end)),
     ]
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from bojax.report.budgets import Series, budget_of, common_budget, held, times_within
+from bojax.report.budgets import Series, budget_of, common_budget, held, interval_of_times, times_within
+from bojax.report.statistics import time_interval
 
 NAN = np.nan
 FINAL, OTHER = np.array([True, False]), np.array([False, False])
@@ -61,3 +62,14 @@ def test_a_value_holds_until_the_next():
 
 def test_a_time_to_an_event_is_at_most_the_budget():
     assert times_within(np.array([3.0, NAN, 30.0]), 10).tolist() == [3, 10, 10]
+
+
+def test_no_bound_of_a_mean_time_is_beyond_what_the_runs_allow():
+    times, ends = np.array([30.0, NAN, 2.0]), np.array([400.0, 400.0, 350.0])
+    counted = np.array([30.0, 400.0, 2.0])
+    free = time_interval(counted)
+    assert free.low < 1 and free.high > 400
+    found = interval_of_times(times, ends, counted)(counted)
+    assert (found.estimate, found.low, found.high) == (144, 1, 400)
+    # Nothing limits runs that ended with the event.
+    assert interval_of_times(counted, counted, counted)(counted).high == free.high

@@ -72,6 +72,10 @@ class TestTable:
         cell = cells["rff-q"]["episodes to goal, all runs"]
         assert cell.text.startswith("≥ 12.7")  # (29 runs of 12 or 13 and one of 20) / 30
 
+    def test_no_bound_is_beyond_the_longest_run(self):
+        cell = tables.censored_cell(np.array([1.0, 2.0, np.nan]), np.full(3, 5000.0))
+        assert (cell.text, cell.interval) == ("≥ 1,668", "[1, 5,000]")
+
     def test_what_nobody_reached_is_no_number(self, cells):
         cell = cells["epsilon-greedy"]["episodes to goal, runs that reached it"]
         assert (cell.text, cell.interval) == ("never", "0 of 30")
