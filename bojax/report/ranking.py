@@ -7,7 +7,7 @@ import numpy as np
 
 from bojax.config.errors import allowed_names
 from bojax.report import statistics
-from bojax.report.budgets import times_within
+from bojax.report.budgets import interval_of_times, times_within
 from bojax.report.columns import NoColumn
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats, Interval
@@ -98,7 +98,9 @@ def ranking(results: Results, measure: Measure, most: int | None = None) -> list
         if runs[own][measure.column].dtype.kind == "b":
             mean, lag = statistics.share_interval(values[own]), statistics.paired_shares(both, weights)
         else:
-            mean_of = statistics.time_interval if measure.column in ENDS else statistics.mean_interval
+            mean_of, end = statistics.mean_interval, ENDS.get(measure.column)
+            if end is not None:
+                mean_of = interval_of_times(runs[own][measure.column], runs[own][end], values[own])
             mean, lag = mean_of(values[own]), statistics.mean_interval(both @ weights)
         ranked.append(RankedPoint(point, values[own].size, mean, lag))
     return ranked

@@ -10,6 +10,7 @@ from scipy import stats
 from bojax.cli.main import main
 from bojax.envs.settings import Brax, Gymnasium, MountainCar
 from bojax.report import statistics
+from bojax.report import tables as report_tables
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
 from bojax.report.comparing.curve_files import Rows, read_curves
@@ -23,6 +24,7 @@ from bojax.report.comparing.methods import (
     task_of,
 )
 from bojax.report.comparing.scoring import scored, tasks_of
+from bojax.report.ranking import ranking
 from bojax.report.source import load
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, in_memory, set_column, write_learning, write_results
@@ -343,6 +345,17 @@ class TestTables:
         test = stats.ttest_ind(b.scores, a.scores, equal_var=False).confidence_interval()
         interval = tables.difference(b, a)
         assert (interval.low, interval.high) == pytest.approx((test.low, test.high))
+
+    def test_times_have_the_intervals_of_the_report(self, tmp_path):
+        results = load(write_learning(tmp_path / "a", runs=8))
+        for column in ("episodes_to_goal", "steps_to_goal"):
+            measure = Measure(column, True, "learning", "episode")
+            found = scored(of_folder(results, measure), measure)
+            means = {each.point.name: each.mean for each in ranking(results, measure)}
+            report = report_tables.outcomes(results)
+            place = report.headings.index(f"{column.replace('_', ' ')}, all runs")
+            for each, (name, cells) in zip(found, report.rows, strict=True):
+                assert each.mean == means[name] and each.mean.in_words()[1] == cells[place].interval
 
     def test_scores_that_are_0_or_1_are_shares(self, tmp_path):
         measure = Measure("success", False, "learning", "episode", Options(last=1))

@@ -13,7 +13,7 @@ from bojax.config.errors import allowed_names
 from bojax.envs.settings import Brax, Gymnasium
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
-from bojax.report.budgets import Series, budget_of
+from bojax.report.budgets import Series, budget_of, interval_of_times
 from bojax.report.comparing.curve_files import Rows
 from bojax.report.comparing.logs.grouping import rows_of
 from bojax.report.comparing.logs.opening import Source
@@ -80,6 +80,7 @@ class Method:
     has_nan: NDArray[np.bool_]  # `[runs]` runs without a score
     has_curve: bool = True  # False of a column with one value per run
     seed: int | None = None  # None of other libraries, whose points have no settings
+    is_time: bool = False  # whether scores are times to a goal or target
     is_rate: bool = False  # whether scores are 0 or 1, or means of such values
     log_column: str = ""  # column of a log of another library
     # Set by `scored`:
@@ -110,6 +111,9 @@ class Method:
     @property
     def mean(self) -> Interval:
         """Mean score with its interval, that of a rate between 0 and 1; NaN if a score is NaN."""
+        if self.is_time:
+            times, ends = np.array([(run.values[-1], min(run.end, self.at)) for run in self.series]).T
+            return interval_of_times(times, ends, self.scores)(self.scores)
         if self.is_share:
             return share_interval(self.scores)
         mean = mean_interval(self.scores)
@@ -244,6 +248,7 @@ def of_folder(results: Results, measure: Measure) -> list[Method]:
                 has_curve & (runs.get("nans", np.zeros(runs["run"].size)) > 0),
                 has_curve,
                 seed=results.manifest.seed,
+                is_time=measure.column in ENDS,
                 is_rate=is_rate,
             )
         )
