@@ -98,10 +98,10 @@ def times_within(times: Floats, budget: float) -> Floats:
     return np.fmin(times, budget)
 
 
-def interval_of_times(times: Floats, ends: Floats, counted: Floats) -> Callable[[Floats], Interval]:
-    """What gives the interval of mean times to an event, between 1 and the longest end of the runs.
+def limit_of(times: Floats, ends: Floats, counted: Floats) -> float:
+    """The longest end of runs, beyond which no mean time to an event can lie.
 
-    There is no upper limit if every run ended with its event, since it might have taken longer.
+    It is infinite if every run ended with its event, since nothing then limited the time.
 
     Args:
         times: Times of all runs of a setting, NaN for never.
@@ -109,5 +109,10 @@ def interval_of_times(times: Floats, ends: Floats, counted: Floats) -> Callable[
         counted: What they count with.
     """
     is_limited = ((ends > times) | (counted != times)).any()
-    most = max(ends.max(), counted.max()) if is_limited else np.inf
-    return lambda chosen: time_interval(chosen).within(1.0, float(most))
+    return float(max(ends.max(), counted.max())) if is_limited else np.inf
+
+
+def interval_of_times(times: Floats, ends: Floats, counted: Floats) -> Callable[[Floats], Interval]:
+    """What gives the interval of mean times to an event, between 1 and the limit of the runs."""
+    most = limit_of(times, ends, counted)
+    return lambda chosen: time_interval(chosen).within(1.0, most)

@@ -85,6 +85,12 @@ def test_a_share_is_certain_before_the_first_step():
     assert low[0] == high[0] == 0 and high[1] > 0.5
 
 
+def test_bands_are_cut_to_what_is_possible():
+    solved = Curve(RISING.point, np.arange(3.0), np.array([[0.0, 0, 2], [0, 1, 1]]), (0, np.arange(3)))
+    ((mean, low, high),) = Panel("episodes solved", "mean number", [solved]).bands
+    assert (mean.tolist(), low.tolist(), high.tolist()) == ([0, 0.5, 1.5], [0, 0, 0], [0, 1, 2])
+
+
 def test_hollow_markers_are_means_over_some_runs():
     partial = curve("a", [[1, 2, 3], [1, 2, np.nan]])
     (axes,) = chart(Panel("steps", "mean steps", [partial]), is_swept=True).axes

@@ -217,6 +217,8 @@ class TestSweptNumber:
         np.testing.assert_array_equal(curves[0].x, [2, 5, 10, 20])
         np.testing.assert_allclose(curves[0].values.mean(axis=0), 3.5 * np.array([2, 5, 10, 20]))
         assert not curves[0].is_partial.any() and curves[1].is_partial.all()
+        assert curves[0].limits == (1, [200] * 4)
+        assert curves_over(chains, "env.length", "success")[0].limits == (0, 1)
 
     def test_the_nearest_law_is_drawn_and_told(self, chains):
         drawing = drawn("growth", chains)

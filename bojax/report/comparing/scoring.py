@@ -9,7 +9,7 @@ import numpy as np
 from bojax.config.errors import allowed_names
 from bojax.report.budgets import common_budget, times_within
 from bojax.report.comparing.methods import Measure, Method
-from bojax.report.drawing.curves import Curve
+from bojax.report.drawing.curves import ANY, Curve
 from bojax.report.ranking import ENDS
 from bojax.report.text import counted, printed
 from bojax.results.store import ResultsError
@@ -96,4 +96,5 @@ def _curve(method: Method, measure: Measure, end: float) -> Curve:
         spacing = max(1.0, np.ceil(end / GRID))
         places = np.unique(np.append(np.arange(spacing, end + 1, spacing), end))
     values = [run.at(places) for run, bad in zip(method.series, method.has_nan, strict=True) if not bad]
-    return Curve(method.point, places, np.reshape(values, (-1, places.size)))
+    values = np.reshape(values, (-1, places.size))
+    return Curve(method.point, places, values, (0, 1) if method.is_rate else ANY)

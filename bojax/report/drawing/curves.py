@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -13,12 +13,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from bojax.report import statistics, style
 from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.source import Point
 from bojax.report.statistics import Band, Floats
 from bojax.report.text import joined, number, percent, ranged
+
+Limits: TypeAlias = tuple[ArrayLike, ArrayLike]  # the least and the greatest value possible
+ANY: Limits = -np.inf, np.inf
 
 _MAX_DIRECT = 10
 _MAX_LINES, _MAX_LINE = 2, 16
@@ -34,11 +38,12 @@ class Curve:
     point: Point  # a point of the setting, which gives the curve its name and colour
     x: Floats  # `[n]` steps, episodes or swept numbers, in ascending order
     values: Floats  # `[runs, n]` one value per run; NaN where it is missing
+    limits: Limits = ANY  # of their means
 
     @classmethod
-    def numbered(cls, point: Point, values: Floats, first: int) -> "Curve":
+    def numbered(cls, point: Point, values: Floats, first: int, limits: Limits = ANY) -> "Curve":
         """Values of consecutive steps or episodes from a first one on."""
-        return cls(point, first + np.arange(float(values.shape[1])), values)
+        return cls(point, first + np.arange(float(values.shape[1])), values, limits)
 
     @property
     def is_partial(self) -> np.ndarray:
@@ -58,10 +63,13 @@ class Panel:
 
     @cached_property
     def bands(self) -> list[Band]:
-        """Mean, lower and upper bound of each curve."""
+        """Mean, lower and upper bound of each curve, cut to its limits."""
         band = statistics.share_band if self.is_share else statistics.mean_band
-        bands = [band(curve.values) for curve in self.curves]
-        for curve, (_, _, high) in zip(self.curves, bands, strict=True):
+        bands = []
+        for curve in self.curves:
+            mean, low, high = band(curve.values)
+            low, high = np.maximum(low, curve.limits[0]), np.minimum(high, curve.limits[1])
+            bands.append((mean, low, high))
             if self.is_share and curve.x[0] == 0:
                 high[0] = 0.0  # no run can have succeeded before the first step: this is not an estimate
         return bands

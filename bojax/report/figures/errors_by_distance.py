@@ -24,7 +24,7 @@ def draw(results: Results) -> Drawing:
         Panel(
             name,
             f"{name} averaged over runs",
-            [Curve(point, marks, _at(results, point, column, marks)) for point in points],
+            [Curve(point, marks, _at(results, point, column, marks), (0, np.inf)) for point in points],
         )
         for column, name in ERRORS.items()
     ]

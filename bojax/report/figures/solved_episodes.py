@@ -17,7 +17,7 @@ def draw(results: Results) -> Drawing:
     for point in points:
         solved = results.by_episode(point, "success", is_summed=True)
         solved = np.pad(solved, ((0, 0), (1, 0)))  # nothing is solved before the first episode
-        curves.append(Curve.numbered(point, solved, first=0))
+        curves.append(Curve.numbered(point, solved, first=0, limits=(0, np.arange(solved.shape[1]))))
     if max(curve.values.max(initial=0.0) for curve in curves) < 2:
         raise FigureUnavailable("no run solved more than one episode: success-episodes shows when")
     panel = Panel("episodes solved", "mean number of training episodes that have reached the goal", curves)

@@ -16,7 +16,8 @@ def draw(results: Results) -> Drawing:
     lengths, successes = [], []
     for point in points:
         success, length = (results.by_episode(point, column) for column in ("success", "length"))
-        lengths.append(Curve.numbered(point, np.where(success > 0, length, np.nan), first=1))
+        limits = 1, getattr(point.env, "max_steps", None) or np.inf
+        lengths.append(Curve.numbered(point, np.where(success > 0, length, np.nan), first=1, limits=limits))
         successes.append(Curve.numbered(point, success, first=1))
     quantity = "mean steps of the training episodes that reach the goal"
     panels = [

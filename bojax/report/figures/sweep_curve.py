@@ -1,12 +1,14 @@
 """The mean of a column of `runs.parquet` over a swept number, one curve per setting of everything else."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from bojax.report.budgets import times_within
+from bojax.report.budgets import limit_of, times_within
+from bojax.report.columns import Columns
 from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable
-from bojax.report.drawing.curves import Chart, Curve, Panel
+from bojax.report.drawing.curves import ANY, Chart, Curve, Limits, Panel
 from bojax.report.ranking import ENDS, Measure, signed
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
 from bojax.report.text import heading, is_number, joined, number
@@ -57,10 +59,16 @@ def swept_panel(results: Results, *, to_the_end: bool = False) -> tuple[Panel, s
     if to_the_end and column in ENDS:
         measure, longest = Measure(column, is_least=True), float(results.runs[ENDS[column]].max())
         quantity, name = measure.label, f"{measure.words.removeprefix('mean ')},"
-        curves = [replace(curve, values=times_within(curve.values, longest)) for curve in curves]
+        curves = [_to_the_end(curve, longest) for curve in curves]
     missing = "Hollow markers: means over only those runs that have a value."
     curves, note = readable(curves, is_least=signed(column)[1])
     return Panel(quantity, quantity, curves, missing=missing), heading(over), name, note
+
+
+def _to_the_end(curve: Curve, longest: float) -> Curve:
+    """A curve of times to the goal, in which missing ones count with the end of the longest run."""
+    most = longest if curve.is_partial.any() else np.inf
+    return replace(curve, values=times_within(curve.values, longest), limits=(1, most))
 
 
 def readable(curves: list[Curve], *, is_least: bool) -> tuple[list[Curve], str]:
@@ -93,8 +101,16 @@ def curves_over(results: Results, over: str, column: str) -> list[Curve]:
         values = results.paired(points, column).astype(np.float64)
         x = np.array([float(point.swept[over]) for point in points])
         if len(points) > 1 and len(values) > 1:
-            curves.append(Curve(replace(points[0], name=name), x, values))
+            limits = _limits([results.runs_of(point) for point in points], column)
+            curves.append(Curve(replace(points[0], name=name), x, values, limits))
     return curves
+
+
+def _limits(runs: Sequence[Columns], column: str) -> Limits:
+    """The least and the greatest mean possible of a column in the runs of several points."""
+    if (end := ENDS.get(column)) is not None:
+        return 1, [limit_of(each[column], each[end], each[end]) for each in runs]
+    return (0, 1) if runs[0][column].dtype.kind == "b" else ANY
 
 
 def _swept_number(results: Results) -> str:
