@@ -169,7 +169,7 @@ def methods(counts: Iterable[int]) -> str:
     is_few = {count < FEW for count in counts if count > 1}
     if len(is_few) > 1:
         return f"Student's t below {FEW} runs and bootstrap from there on"
-    return "Student's t" if True in is_few else "bootstrap"
+    return "bootstrap" if False in is_few else "Student's t"
 
 
 def central(samples: Floats, tail: float | None = None) -> tuple[float, float]:

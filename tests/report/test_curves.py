@@ -53,6 +53,12 @@ def test_two_panels_are_told_apart():
     )
 
 
+def test_without_bands_none_are_promised():
+    apart = curve("a", [[0, 1, np.nan], [np.nan, np.nan, 2]])
+    caption = drawing(Panel("reward", "mean reward", [apart])).caption
+    assert caption == "Mean reward. By episode, 2 runs per curve."
+
+
 def test_a_curve_without_values_is_not_drawn_but_told():
     drawn = drawing(Panel("reward", "mean reward", [EMPTY, RISING]))
     assert drawn.caption.endswith("Without a value: b.")

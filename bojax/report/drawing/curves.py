@@ -76,7 +76,9 @@ class Panel:
 
     @property
     def method(self) -> str:
-        """How the bands are computed, in words."""
+        """How the bands are computed, in words; empty if there are none."""
+        if not any(np.isfinite(low).any() for _, low, _ in self.bands):
+            return ""
         counts = (np.isfinite(curve.values).sum(axis=0) for curve in self.curves)
         return "Wilson" if self.is_share else statistics.methods(np.concatenate([*counts]).tolist())
 
@@ -161,7 +163,8 @@ class Chart:
         caption = []
         for panel, row in zip(panels, ("Above: ", "Below: "), strict=False):
             text = panel.quantity if len(panels) > 1 else panel.quantity[0].upper() + panel.quantity[1:]
-            caption.append(f"{row * (len(panels) > 1)}{text}, with pointwise 95% bands ({panel.method}).")
+            bands = f", with pointwise 95% bands ({panel.method})" if panel.method else ""
+            caption.append(f"{row * (len(panels) > 1)}{text}{bands}.")
         partial = [panel.missing for panel in panels if any(c.is_partial.any() for c, _, _ in panel.drawn)]
         absent = [curve.point.name for curve in self._named.curves if curve not in drawn]
         caption += [
