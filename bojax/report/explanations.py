@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from bojax.config.references import Mean, OfClaim, Reference, matching, pieces
 from bojax.report import statistics
+from bojax.report.budgets import interval_of_times
 from bojax.report.findings import FailureCause
+from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results
 from bojax.report.text import MISSING, joined
 from bojax.report.verdicts import TestedClaim, claims_among
@@ -120,7 +122,9 @@ def _mean(results: Results, point: Point, reference: Mean) -> str:
     if not is_there.any():
         return NOT_MEASURED
     is_share = values.dtype == bool
-    of = statistics.share_interval if is_share else statistics.mean_interval
+    of, rows = statistics.share_interval if is_share else statistics.mean_interval, results.runs_of(point)
+    if (end := ENDS.get(reference.column)) is not None:
+        of = interval_of_times(values, rows[end], np.where(is_there, values, rows[end]))
     text = " ".join(of(values[is_there]).in_words(as_percent=is_share))
     return text if is_there.all() else f"{text} in {is_there.sum():,} of {values.size:,} runs"
 

@@ -10,6 +10,7 @@ from bojax.report.build import build_report
 from bojax.report.explanations import AtHand, causes_of, explanations_of
 from bojax.report.findings import evaluate
 from bojax.report.source import load
+from bojax.report.statistics import time_interval
 from tests.report.synthetic import edit_manifest, set_column, write_results
 
 
@@ -81,6 +82,17 @@ def test_runs_without_a_value_are_counted(tmp_path):
     set_column(folder, "return", values)
     (each, *_) = explanations_of(at_hand(folder), {})
     assert each.text.endswith(" in 30 of 40 runs")
+
+
+def test_mean_times_have_the_interval_of_the_report(tmp_path):
+    folder = results(tmp_path / "mine", "{kcbts: steps_to_goal}")
+    values = load(folder).runs["steps"].astype(float)
+    values[1::40] = np.nan
+    set_column(folder, "steps_to_goal", values)
+    (each, *_) = explanations_of(at_hand(folder), {})
+    known = values[load(folder).runs["label"] == "kcbts"]
+    found = time_interval(known[np.isfinite(known)])
+    assert each.text.startswith(" ".join(found.in_words())) and each.text.endswith("in 39 of 40 runs")
 
 
 def test_braces_of_earlier_versions_stay(tmp_path):
