@@ -24,7 +24,7 @@ def ended(code: int, err: str = "", *, is_late: bool = False) -> ChildResult:
 TRACEBACK = 'Traceback (most recent call last):\n  File "/x/bojax/a.py", line 3, in f\nKeyError: 1\n'
 JUDGED = [
     (ended(2, "error: a.yaml: runs: got 0; allowed: >= 1\n"), ""),
-    (ended(0, "warning: 2 runs contain NaN\n"), ""),
+    (ended(0, "warning: 2 runs with NaN\n"), ""),
     (ended(130, "interrupted\n"), ""),
     (ended(-9), ""),
     (ended(-11), "exit code -11"),

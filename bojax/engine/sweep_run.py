@@ -103,14 +103,20 @@ class SweepRun:
             finish: Called with the results folder of a finished sweep.
         """
         merged = self._merge()
-        if merged.nans:
-            say(f"warning: {len(merged.nans)} runs contain NaN: see column nans of runs.parquet")
-        if merged.num_ignoring:
-            what = "runs left out samples: see column ignored_samples of runs.parquet"
-            say(f"warning: {merged.num_ignoring} {what}")
-        if merged.num_unsampled:
-            what = "runs took no sample, or only where the field is flat (are paths longer than the domain?)"
-            say(f"warning: {merged.num_unsampled} {what}: see column sampled_gradient of runs.parquet")
+        odd = (
+            (len(merged.nans), "NaN", "nans"),
+            (merged.num_ignoring, "samples left out", "ignored_samples"),
+            (merged.num_collapsed, "an observation that no particle of the belief explained", "collapses"),
+            (
+                merged.num_unsampled,
+                "no sample, or only where the field is flat (are paths longer than the domain?)",
+                "sampled_gradient",
+            ),
+        )
+        for number, what, column in odd:
+            if number:
+                runs = "run" if number == 1 else "runs"
+                say(f"warning: {number} {runs} with {what}: see column {column} of runs.parquet")
         print(self.path)
         if merged.errors:
             reasons = dict.fromkeys(merged.errors.values())

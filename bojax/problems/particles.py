@@ -89,13 +89,14 @@ def condition(
 ) -> tuple[Particles, Bool[Array, ""]]:
     """Weigh moved particles by an observation of a state that is not terminal, and resample.
 
-    The belief has collapsed if no weight is left, or one is NaN. Then the moved particles that are not
-    terminal, or if there are none all of them, stay with equal weights.
+    A likelihood of NaN counts as zero, as in the searches. The belief has collapsed if no weight is left, or
+    one is infinite. Then the moved particles that are not terminal, or if there are none all of them, stay
+    with equal weights.
     """
     likelihood = jax.vmap(problem.log_likelihood, (None, 0, None, 0))
     log_likelihoods = likelihood(observation, before.states, action, moved.states)
-    log_weights = jnp.where(moved.terminal, -jnp.inf, moved.log_weights + log_likelihoods)
-    # A maximum of NaN or infinity is not finite.
+    is_weighed = ~moved.terminal & ~jnp.isnan(log_likelihoods)
+    log_weights = jnp.where(is_weighed, moved.log_weights + log_likelihoods, -jnp.inf)
     collapsed = ~jnp.isfinite(jnp.max(log_weights))
     left = jnp.where(moved.terminal & ~jnp.all(moved.terminal), -jnp.inf, 0.0).astype(log_weights.dtype)
     indices = systematic(key, jnp.where(collapsed, left, log_weights))

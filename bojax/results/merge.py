@@ -60,6 +60,7 @@ class Merged:
     errors: Mapping[int, str]  # why chunks have failed, by index
     nans: Mapping[tuple[int, int], int]  # number of NaNs of each (point, run) that has any
     num_ignoring: int  # number of runs whose belief left out samples
+    num_collapsed: int  # number of runs whose belief has collapsed
     num_unsampled: int  # number of runs on fields without a sample where the field has a slope
     sha256: Mapping[str, str]  # SHA-256 of the tables and of the snapshots, by path in the results folder
 
@@ -105,6 +106,7 @@ def merge(
         },
         nans=nans,
         num_ignoring=_num_runs(folder, "ignored_samples", lambda values: values > 0),
+        num_collapsed=_num_runs(folder, "collapses", lambda values: values > 0),
         num_unsampled=_num_runs(folder, "sampled_gradient", lambda values: values == 0.0),
         sha256=_checksums(folder, [*pieces, TIMINGS], done),
     )

@@ -250,7 +250,7 @@ def test_nans_are_counted(tmp_path, capsys):
     assert runs["nans"].tolist() == expected.tolist() and expected.sum() > 0
     by_point = {str(point): int(expected[runs["point"] == point].sum()) for point in (0, 1)}
     assert read_manifest(out)["nans"] == {point: count for point, count in by_point.items() if count}
-    assert f"warning: {(expected > 0).sum()} runs contain NaN" in capsys.readouterr().err
+    assert f"warning: {(expected > 0).sum()} runs with NaN" in capsys.readouterr().err
 
 
 def test_no_gpu(tmp_path, capsys, monkeypatch):

@@ -168,7 +168,7 @@ def test_particles_follow_bayes():
 
 
 class Fading(StateProblem):
-    """A step ends the episode above 1, and adds the action; an observation of 1, 2 or 3 is odd."""
+    """A step ends the episode above 1, and adds the action; an observation of 1 to 4 is odd."""
 
     discount: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.asarray(0.5))
     max_steps: int = eqx.field(static=True, default=5)
@@ -194,9 +194,8 @@ class Fading(StateProblem):
     @override
     def log_likelihood(self, observation, state, action, next_state):
         impossible = jnp.where(observation[0] == 1.0, -jnp.inf, 0.0)
-        return jnp.where(
-            observation[0] == 2.0, jnp.nan, jnp.where(observation[0] == 3.0, jnp.inf, impossible)
-        )
+        is_nan = (observation[0] == 2.0) | ((observation[0] == 4.0) & (next_state[0] < 0.75))
+        return jnp.where(is_nan, jnp.nan, jnp.where(observation[0] == 3.0, jnp.inf, impossible))
 
 
 FADING = Fading()
@@ -211,6 +210,14 @@ def test_a_terminal_particle_has_no_weight():
     assert not np.any(belief.terminal)
     survivors = np.asarray(start.states)[np.asarray(start.states) <= 0.5] + 0.5
     assert set(np.ravel(belief.states)) <= set(survivors)
+
+
+def test_a_particle_with_a_likelihood_of_nan_has_no_weight():
+    start = particles.initial(FADING, jax.random.key(9), 200)
+    belief, collapsed = update(jax.random.key(10), start, jnp.full(1, 0.5), jnp.full(1, 4.0))
+    states = np.ravel(start.states) + 0.5
+    assert not collapsed and np.any(states < 0.75)
+    assert set(np.ravel(belief.states)) == set(states[(states >= 0.75) & (states <= 1.0)])
 
 
 @pytest.mark.parametrize("reading", [1.0, 2.0, 3.0])
