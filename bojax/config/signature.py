@@ -55,7 +55,8 @@ def fields_of(cls: type) -> tuple[dict[str, tuple[Any, Any]], frozenset[str]]:
             if not has_default:
                 raise TypeError(
                     f"the annotation of {name} in {cls.__name__} is not the type of a setting; allowed: "
-                    "numbers, text, Booleans and arrays, or a nested pydantic class Config"
+                    "numbers, text, Booleans and arrays; parts, such as a field, are declared in a nested "
+                    "pydantic class Config"
                 )
             continue  # not a setting
         default = parameter.default if has_default else ...
