@@ -71,9 +71,23 @@ def test_the_belief_of_the_step_is_drawn(tmp_path):
     left, right = axes.get_xlim()
     assert left < -3.0 and right > 4.0 + 3.0 * 0.5**STEPS  # the extremes of all steps
     cloud, path, now = draw_step(axes, sketch, 2)[3:]  # after those of the fixed point
-    np.testing.assert_allclose(cloud.get_xdata(), 2.0 + 0.75 * np.linspace(-1.0, 1.0, DRAWN))
+    np.testing.assert_allclose(cloud.get_offsets()[:, 0], 2.0 + 0.75 * np.linspace(-1.0, 1.0, DRAWN))
+    np.testing.assert_allclose(cloud.get_sizes(), 3.2**2)
     np.testing.assert_allclose(path.get_xdata(), [0.0, 1.0, 2.0])
     assert (now.get_xdata()[0], now.get_ydata()[0]) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_dots_show_the_shares_of_equal_states(size):
+    belief = np.repeat([[0.0] * 60 + [1.0] * 4, [0.0] * 16 + [1.0] * 48], size).reshape(2, 64, size)
+    rows = np.concatenate([np.zeros((2, 1, size)), belief], axis=1)
+    axes = Figure().add_subplot()
+    doubted, _, _, known, _, _ = draw_step(axes, {"doubted": rows, "known": np.zeros_like(rows)}, 1)
+    np.testing.assert_allclose(doubted.get_offsets()[-2:, -1], [0.0, 1.0])
+    areas = doubted.get_sizes()
+    np.testing.assert_allclose(areas / areas[-1], [60 / 48, 4 / 48, 16 / 48, 1.0][-len(areas) :])
+    np.testing.assert_allclose(known.get_sizes(), 3.2**2)
+    assert areas.max() <= (4.0 * 3.2) ** 2
 
 
 @pytest.mark.parametrize("kind, panels", [("light-dark", 1), ("vdp-tag", 4)])

@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from bojax.report.columns import Arrays
 from bojax.report.drawing.domains import draw_outline, fit_square
@@ -20,6 +23,9 @@ Sketch = Mapping[str, Floats]
 
 _TRAIL = 10
 """Number of past steps whose true states are drawn."""
+
+_WIDEST, _MOST = 4.0, 170.0
+"""Most widths of a single state's dot in that of equal states, and in those of all steps side by side."""
 
 _COLOURS = (BLUE, ORANGE, GREEN, PINK)
 
@@ -61,22 +67,40 @@ def set_stage(axes: Axes, sketch: Sketch, outline: Outline) -> None:
     axes.set_yticks([])
 
 
-def draw_step(axes: Axes, sketch: Sketch, step: int, size: float = 1.0) -> list[Line2D]:
+def draw_step(axes: Axes, sketch: Sketch, step: int, size: float = 1.0) -> list[Artist]:
     """Draw the belief after a step, and the last true states; the result can be removed again."""
-    lines: list[Line2D] = []
+    drawn: list[Artist] = []
+    by_step = is_by_step(sketch)
     for rows, colour in zip(sketch.values(), cycle(_COLOURS), strict=False):
-        if is_by_step(sketch):
-            steps = np.arange(step + 1.0)
-            cloud = np.repeat(steps, rows.shape[1] - 1), rows[: step + 1, 1:, 0].ravel()
-            path = np.stack([steps, rows[: step + 1, 0, 0]], axis=-1)
-        else:
-            cloud, path = rows[step, 1:].T, rows[max(0, step - _TRAIL) : step + 1, 0]
-        dots = {"marker": "o", "linestyle": "", "markeredgewidth": 0, "color": colour}
-        lines += axes.plot(*cloud, **dots, markersize=3.2 * size, alpha=0.35, zorder=3)
-        lines += axes.plot(*path.T, color=colour, linewidth=1.1 * size, alpha=0.6, zorder=4)
-        rim = dots | {"markeredgecolor": "white", "markeredgewidth": 1.0 * size}
-        lines += axes.plot(*path[-1:].T, **rim, markersize=8.0 * size, zorder=5)
-    return lines
+        path = rows[max(0, step - _TRAIL) : step + 1, 0]
+        widest = _WIDEST
+        if by_step:
+            rows = rows[..., :1]
+            path = np.stack([np.arange(step + 1.0), rows[: step + 1, 0, 0]], axis=-1)
+            widest = min(widest, max(1.0, _MOST / size / len(rows)))
+        spots, counts, areas = _spots(rows, widest)
+        now = spots[:, 0] <= step if by_step else spots[:, 0] == step
+        # The opacity is that of equal dots upon each other.
+        dots: dict[str, Any] = {"s": (3.2 * size) ** 2 * areas[now], "alpha": 1.0 - 0.65 ** counts[now]}
+        dots |= {"color": colour, "linewidths": 0, "zorder": 3, "clip_on": not by_step}
+        drawn.append(axes.scatter(*spots[now, -2:].T, **dots))
+        drawn += axes.plot(*path.T, color=colour, linewidth=1.1 * size, alpha=0.6, zorder=4)
+        rim = {"marker": "o", "markeredgecolor": "white", "markeredgewidth": 1.0 * size, "color": colour}
+        drawn += axes.plot(*path[-1:].T, **rim, markersize=8.0 * size, zorder=5)
+    return drawn
+
+
+def _spots(rows: Floats, widest: float) -> tuple[Floats, NDArray[np.int64], Floats]:
+    """The different states of the belief, each after its step; how often each occurs; areas of their dots.
+
+    An area is in proportion to the count, and 1 for a single state, or less if dots would be too wide. The
+    areas of a quantity that is never in doubt are all 1.
+    """
+    steps = np.repeat(np.arange(len(rows)), rows.shape[1] - 1)
+    states = np.column_stack([steps, rows[:, 1:].reshape(len(steps), -1)])
+    spots, counts = np.unique(states, axis=0, return_counts=True)
+    areas = counts.astype(np.float64) if len(spots) > len(rows) else np.ones(len(rows))
+    return spots.astype(np.float64), counts, areas * min(1.0, widest**2 / float(areas.max()))
 
 
 def legend_of(all_sketches: Sequence[Sketch]) -> list[tuple[Line2D, str]]:
