@@ -42,7 +42,8 @@ class BeliefFilm(Film):
         entries = zip(*legend_of([trace.sketch]), strict=True)
         figure.legend(*entries, loc="lower center", ncols=4, frameon=False, handletextpad=0.1, fontsize=9)
         for step in self._steps.tolist():
-            status.set_text(f"step {step} of {num_steps(trace.sketch)}, reward {trace.accumulated[step]:.4g}")
+            paid = f"return so far {trace.accumulated[step]:.4g}"
+            status.set_text(f"step {step} of {num_steps(trace.sketch)}, {paid}")
             lines = draw_step(axes, trace.sketch, step)
             yield photograph(figure)
             for line in lines:

@@ -1,4 +1,4 @@
-"""A film of one episode of learning: a scene, the time, the reward and the action."""
+"""A film of one episode of learning: a scene, the time, the return so far and the action."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -19,7 +19,7 @@ from bojax.report.style import BLUE, FAINT, INK, drawn_text
 from bojax.report.text import file_name
 from bojax.results.store import ResultsError
 
-_SIZE = (4.0, 4.0)
+_SIZE = (4.4, 4.0)
 
 
 class LearningFilm(Film):
@@ -67,7 +67,7 @@ class LearningFilm(Film):
                 self._move(scene, position, index)
                 position = index + 1
                 seconds = f"{index * self._time_step:.2f} s, " if self._time_step else ""
-                reward = f"reward {episode.accumulated[index]:.4g}"
+                reward = f"return so far {episode.accumulated[index]:.4g}"
                 status.set_text(f"{seconds}step {index + 1} of {len(episode.observations)}, {reward}")
                 for bar, width in zip(drawn, episode.actions[index] / largest, strict=True):
                     bar.set_width(width)

@@ -75,12 +75,12 @@ class PlanningFilm(Film):
             outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
             if any(leg.plan is not None for leg in legs) and any(view.shows_plan for view in views):
                 planned = {"color": ORANGE, "fontsize": 10, "ha": "right"}
-                figure.text(1.0 - edge, 0.89, "dashed: planned path", **planned)
+                figure.text(1.0 - edge, 0.89, "dashed: plan", **planned)
             for index in range(len(legs)):
                 is_last = index == len(legs) - 1
                 for share in (np.arange(self._per_step + is_last) / self._per_step).tolist():
                     paid = [0.0, *(leg.accumulated for leg in legs)][index + (share == 1.0)]
-                    status.set_text(f"step {index + 1} of {len(legs)}, reward {paid:.4g}")
+                    status.set_text(f"step {index + 1} of {len(legs)}, return so far {paid:.4g}")
                     outcome.set_text(self._drive.outcome if share == 1.0 else "")
                     self._show(index, share, body, views)
                     yield photograph(figure)

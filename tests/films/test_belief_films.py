@@ -8,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
+from bojax.films import beliefs
 from bojax.films.choose import choose_film
 from bojax.films.film import render, write_still
 from bojax.report.drawing.base import FigureUnavailable
@@ -60,6 +61,14 @@ def test_a_film_has_a_picture_of_each_step(tmp_path, kind):
     assert render(film, tmp_path / "animations")[0].stat().st_size < 200_000
     write_still(film, tmp_path / "still.png", 0.5)
     assert (tmp_path / "still.png").exists()
+
+
+def test_films_tell_the_return_so_far(tmp_path, monkeypatch):
+    film = choose_film(load(belief_results(tmp_path / "results")))
+    texts = []
+    monkeypatch.setattr(beliefs, "photograph", lambda figure: texts.append(figure.texts[1].get_text()))
+    assert len(list(film.images())) == STEPS + 1
+    assert texts[0] == "step 0 of 4, return so far 0" and texts[-1] == "step 4 of 4, return so far -6"
 
 
 def test_the_belief_of_the_step_is_drawn(tmp_path):

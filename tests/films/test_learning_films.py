@@ -101,7 +101,7 @@ def test_every_scene_is_drawn_and_moves(tmp_path, kind):
     assert paths[0].name == "emu-q-1-kappa-0-run0-episode1.gif"
     assert len(counted) == 12
     images, durations = zip(*frames(paths[0]), strict=True)
-    assert images[0].shape == (400, 400, 3) and len(images) == 12
+    assert images[0].shape == (400, 440, 3) and len(images) == 12
     stage = [image[70:330] for image in images]  # without the words above and the action below
     assert all(np.any(a != b) for a, b in zip(stage, stage[1:], strict=False))
     assert np.mean(np.all(images[0] == 255, axis=-1)) > 0.4  # the background stays white
@@ -137,7 +137,7 @@ def test_where_there_is_ffmpeg_it_gets_the_same_frames(tmp_path, ffmpeg):
     folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
     gif, film = render(choose_film(load(folder)), folder / "animations")
     assert film == gif.with_suffix(".mp4")
-    assert int(film.read_text()) == (6 + 50) * 400 * 400 * 4  # the last frame for 2 s of 25 frames
+    assert int(film.read_text()) == (6 + 50) * 400 * 440 * 4  # the last frame for 2 s of 25 frames
 
 
 def test_an_ffmpeg_that_fails_is_told_in_a_line(tmp_path, ffmpeg):
