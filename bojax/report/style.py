@@ -298,10 +298,10 @@ def legend(drawn: Figure, handles: Sequence[Any], names: Sequence[str], **option
 def wrapped(name: str, width: int) -> str:
     """A name as figures write it, in lines of at most `width` characters.
 
-    Longer words are broken after a dot or an underscore.
+    Longer words are broken after a dot, an underscore or a slash.
     """
     short = drawn_text(name)
-    marked = re.sub(rf"\S{{{width + 1},}}", lambda word: re.sub(r"([._])(?=\w)", "\\1\0 ", word[0]), short)
+    marked = re.sub(rf"\S{{{width + 1},}}", lambda word: re.sub(r"([._/])(?=\w)", "\\1\0 ", word[0]), short)
     return "\n".join(textwrap.wrap(marked, width)).replace("\0 ", "").replace("\0", "") or short
 
 

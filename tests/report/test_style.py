@@ -94,6 +94,7 @@ def test_a_long_word_is_broken_where_it_has_parts():
     for width, lines in (
         (16, ["emu-q, state_", "lengthscale 0.2"]),
         (26, ["learner.features.", "state_lengthscale"]),
+        (14, ["discrete/", "pomcpow"]),
         (16, ["kcbts"]),
         (16, ["a" * 16, "a" * 4]),
     ):
