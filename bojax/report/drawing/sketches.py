@@ -86,7 +86,7 @@ def draw_step(axes: Axes, sketch: Sketch, step: int, size: float = 1.0) -> list[
         drawn.append(axes.scatter(*spots[now, -2:].T, **dots))
         drawn += axes.plot(*path.T, color=colour, linewidth=1.1 * size, alpha=0.6, zorder=4)
         rim = {"marker": "o", "markeredgecolor": "white", "markeredgewidth": 1.0 * size, "color": colour}
-        drawn += axes.plot(*path[-1:].T, **rim, markersize=8.0 * size, zorder=5)
+        drawn += axes.plot(*path[-1:].T, **rim, markersize=8.0 * size, zorder=5, clip_on=not by_step)
     return drawn
 
 
