@@ -128,3 +128,4 @@ def test_the_axis_of_whole_numbers_has_whole_ticks(values, whole):
     axes = Figure().add_subplot()
     set_stage(axes, {"state": np.array(values)[:, None, None]}, Outline())
     assert all(tick % 1.0 == 0.0 for tick in axes.get_yticks()) == whole
+    assert axes.get_xticks().tolist() == [0, 1, 2]

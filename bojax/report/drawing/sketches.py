@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from bojax.report.columns import Arrays
+from bojax.report.drawing.curves import step_ticks
 from bojax.report.drawing.domains import draw_outline, fit_square
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
@@ -56,6 +57,7 @@ def set_stage(axes: Axes, sketch: Sketch, outline: Outline) -> None:
     if is_by_step(sketch):
         axes.set_aspect("auto")
         axes.set_xlim(-0.5, num_steps(sketch) + 0.5)
+        axes.set_xticks(step_ticks(num_steps(sketch)))
         values = np.concatenate([rows.ravel() for rows in sketch.values()])
         margin = 0.05 * max(float(np.ptp(values)), 1.0)
         axes.set_ylim(values.min() - margin, values.max() + margin)
