@@ -104,7 +104,10 @@ def test_the_figure_shows_the_first_recorded_run(tmp_path, kind, panels):
     drawing = draw(load(belief_results(tmp_path / "results", kind)))
     titles = [axes.get_title() for axes in drawing.figure.axes]
     assert titles == ([""] if panels == 1 else ["step 0", "step 1", "step 3", "step 4"])
-    assert f"{DRAWN} states of the belief. Run 0." in drawing.caption and "run 0, 4 steps" in drawing.alt
+    assert (
+        f"{DRAWN} states of the belief, equal ones as one larger dot. Run 0." in drawing.caption
+        and "run 0, 4 steps" in drawing.alt
+    )
     assert drawing.files["png"]
 
 

@@ -56,7 +56,7 @@ def draw(results: Results) -> Drawing:
         figure=figure,
         title="Belief during an episode",
         caption="Large dots: the true state, with its path over the last steps. Small dots: "
-        f"{_num_drawn(shown)} states of the belief. Run {runs}.{note}",
+        f"{_num_drawn(shown)} states of the belief, equal ones as one larger dot. Run {runs}.{note}",
         alt=f"The true state and states of the belief at some steps of an episode. {'; '.join(told)}.",
     )
 
