@@ -10,7 +10,7 @@ from jaxtyping import Array, Key
 from bojax.envs.spaces import Space
 from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
 from bojax.learning.schedules import Schedule
-from bojax.numerics.trial import Misfit, described, require, require_arrays, trial
+from bojax.numerics.trial import Misfit, described, is_users, require, require_arrays, trial
 
 
 def check_weight(learner: Learner) -> None:
@@ -51,7 +51,7 @@ def check_schedule(schedule: Schedule) -> None:
 
 def _is_own(part: Any) -> bool:
     """Whether a part of a learner is a module whose class does not belong to bojax."""
-    return isinstance(part, eqx.Module) and not type(part).__module__.startswith("bojax.")
+    return isinstance(part, eqx.Module) and is_users(part)
 
 
 def _check_weight(learner: Learner) -> None:

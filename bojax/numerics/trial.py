@@ -1,12 +1,14 @@
-"""Trial calls of a user's class before anything runs: JAX traces them, and computes nothing."""
+"""Trial calls of a user's class before anything runs: most are only traced by JAX, and compute nothing."""
 
 import contextlib
 import functools
 import random
+import re
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,9 +31,44 @@ def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
     """
-    if not type(part).__module__.startswith("bojax."):
+    if is_users(part):
         with trial_of(type(part).__name__):
             jax.eval_shape(_watched(check), part, *arguments)
+
+
+def is_users(part: Any) -> bool:
+    """Whether the class of a part is a user's, not one of bojax."""
+    return not type(part).__module__.startswith("bojax.")
+
+
+def computed(function: Callable[..., Any], *parts: Any) -> Any:
+    """What a function of parts and a key returns, as NumPy arrays, or a `Misfit` if it is not pure.
+
+    Args:
+        function: A module-level function, so that JAX caches its program.
+        parts: Modules whose arrays are known.
+    """
+    found = [jax.tree.map(np.asarray, eqx.filter_jit(function)(*parts, jax.random.key(1))) for _ in range(2)]
+    agree = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), *found)
+    if not all(jax.tree.leaves(agree)) or not _traces_agree(function, *shapes(parts)):
+        raise Misfit(
+            "not pure: two calls with equal arguments differ; allowed: random numbers of the key alone"
+        )
+    return found[0]
+
+
+@functools.lru_cache
+def _traces_agree(function: Callable[..., Any], *parts: Any) -> bool:
+    """Whether two traces are the same program: a number from Python's generators is a constant of it.
+
+    The arrays of `parts` are given by their shapes, so that points of a sweep share the traces.
+    """
+    programs = []
+    for _ in range(2):
+        program = eqx.filter_make_jaxpr(function)(*parts, jax.random.key(1))[0]
+        constants = [np.asarray(x).tobytes() for x in program.consts]
+        programs.append((re.sub(r"0x[0-9a-f]+", "", str(program)), constants))
+    return programs[0] == programs[1]
 
 
 @functools.cache

@@ -8,28 +8,23 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
 from bojax.models.checks import is_known
 from bojax.numerics.lanes import TREES
-from bojax.numerics.trial import Misfit, described, require, shapes, trial_of
+from bojax.numerics.trial import Misfit, computed, described, is_users, require, shapes, trial_of
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
 from bojax.planning.leaf_values import LeafValue, Policy
 from bojax.planning.oracles import policy_named
 from bojax.planning.root_parallel import recommended_by_all
 from bojax.planning.tree import Tree
-from bojax.problems import particles
 from bojax.problems.actions import Discrete
 from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
 from bojax.problems.state_checks import check_model
 from bojax.problems.state_space import StateProblem
-
-_NUM_PARTICLES = 100
-"""Size of the belief on which the action of a policy is tried."""
 
 
 class BeliefPlanner(Planner):
@@ -42,14 +37,16 @@ class BeliefPlanner(Planner):
             name = type(problem).__name__
             raise ValueError(f"planner: {type(self).__name__} plans on particles, which {name} does not have")
         check_model(problem)
-        is_own = not type(self).__module__.startswith("bojax.")
+        name = f"planner: {type(self).__name__}"
         try:
-            with trial_of(f"planner: {type(self).__name__}") if is_own else nullcontext():
+            with trial_of(name) if is_users(self) else nullcontext():
                 _plan_once(shapes(self), shapes(problem))
         except (AttributeError, TypeError, IndexError, Misfit) as error:
             raise ValueError(
                 f"planner: does not fit the problem: {error}; allowed: policies and proposals for its actions"
             ) from error
+        if is_users(self):
+            _check_action(name, self, problem)
 
 
 @functools.lru_cache
@@ -57,9 +54,8 @@ def _plan_once(planner: BeliefPlanner, problem: StateProblem) -> None:
     """Trace a plan; arrays are given by their shapes, so that points of a sweep share the trace."""
 
     def check(planner: BeliefPlanner, problem: StateProblem) -> None:
-        key_world, key_prior, key_plan, key_action = jax.random.split(jax.random.key(0), 4)
-        belief = problem.prior(key_prior, problem.reset(key_world), planner.num_samples)
-        plan = planner.plan(key_plan, problem, belief)
+        key_plan, key_action = jax.random.split(jax.random.key(0))
+        plan = _first_plan(planner, problem, key_plan)
         if not isinstance(plan, Plan):
             raise Misfit(f"plan returns {described(plan)}; allowed: a Plan")
         action = problem.actions.decode(problem.actions.sample(key_action))
@@ -70,22 +66,29 @@ def _plan_once(planner: BeliefPlanner, problem: StateProblem) -> None:
     eqx.filter_eval_shape(check, planner, problem)
 
 
-def check_policy(name: str, policy: Policy, problem: Problem) -> None:
-    """Refuse a policy whose action for an initial belief is not one of the problem's, by a ValueError."""
-    if not isinstance(problem, StateProblem) or not is_known(problem):
+def _first_plan(planner: BeliefPlanner, problem: StateProblem, key: Key[Array, ""]) -> Plan:
+    key_world, key_prior, key_plan = jax.random.split(key, 3)
+    return planner.plan(
+        key_plan, problem, problem.prior(key_prior, problem.reset(key_world), planner.num_samples)
+    )
+
+
+def _check_action(name: str, planner: BeliefPlanner, problem: Problem) -> None:
+    """Refuse a planner that is not pure or whose first action is outside of the space, by a ValueError."""
+    if not isinstance(problem, StateProblem) or not is_known((planner, problem)):
         return
-    action, is_inside = _acted(policy, problem)
-    if not is_inside:
-        raise ValueError(
-            f"{name}: its action for an initial belief is {np.asarray(action).tolist()}; allowed: actions of "
-            "the problem"
-        )
+    with trial_of(name):
+        action, is_inside = computed(_acted, planner, problem)
+        if not is_inside:
+            raise Misfit(
+                f"its action for an initial belief is {action.tolist()}; allowed: actions of the problem"
+            )
 
 
-@eqx.filter_jit
-def _acted(policy: Policy, problem: StateProblem) -> tuple[Float[Array, "K"], Bool[Array, ""]]:
-    key_prior, key = jax.random.split(jax.random.key(0))
-    action = policy(problem, key, particles.initial(problem, key_prior, _NUM_PARTICLES))
+def _acted(
+    planner: BeliefPlanner, problem: StateProblem, key: Key[Array, ""]
+) -> tuple[Float[Array, "K"], Bool[Array, ""]]:
+    action = _first_plan(planner, problem, key).action
     return action, problem.actions.contains(action)
 
 
@@ -98,7 +101,7 @@ class PolicyPlanner(BeliefPlanner):
     @override
     def check(self, problem: Problem) -> None:
         super().check(problem)
-        check_policy("planner.policy", self.policy, problem)
+        _check_action("planner.policy", self, problem)
 
     @override
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:
@@ -133,7 +136,7 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
                 raise ValueError(
                     "planner.first_action: got a policy; allowed: null, since all actions of a list are tried"
                 )
-            check_policy("planner.first_action", self.first_action, problem)
+            _check_action("planner.first_action", PolicyPlanner(self.first_action), problem)
 
     @override
     def plan(self, key: Key[Array, ""], problem: StateProblem, belief: Particles) -> Plan:

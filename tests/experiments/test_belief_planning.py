@@ -2,7 +2,7 @@
 
 import dataclasses
 from functools import partial
-from typing import get_args
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -205,6 +205,7 @@ class Mistaken(BeliefPlanner):
     """A user's planner with a mistake."""
 
     mistake: str = eqx.field(static=True)
+    calls: ClassVar[list[int]] = []
 
     @override
     def plan(self, key, problem, belief):
@@ -214,7 +215,10 @@ class Mistaken(BeliefPlanner):
             return jnp.ones(1)
         if self.mistake == "an exception":
             raise KeyError("position")
-        return Plan(jnp.ones(2), None, jnp.zeros(()), jnp.ones((), jnp.int32))
+        self.calls.append(1)
+        actions = {"outside": [99.0], "nan": [jnp.nan], "a counter": [1e-3 * len(self.calls)]}
+        action = jnp.asarray(actions.get(self.mistake, [1.0, 1.0]))
+        return Plan(action, None, jnp.zeros(()), jnp.ones((), jnp.int32))
 
 
 def test_a_planner_with_a_mistake_is_refused_in_one_line():
@@ -226,6 +230,9 @@ def test_a_planner_with_a_mistake_is_refused_in_one_line():
                 ("no plan", r"plan returns float64 of shape \(1,\); allowed: a Plan"),
                 ("an exception", "a trial call failed: KeyError: 'position' .*test_belief_planning.py, line"),
                 ("two numbers", r"Plan.action is float64 of shape \(2,\); allowed: float64 of shape \(1,\)"),
+                ("outside", r"its action for an initial belief is \[99.0\]; allowed: actions of the problem"),
+                ("nan", r"its action for an initial belief is \[nan\]; allowed"),
+                ("a counter", "not pure: two calls with equal arguments differ"),
             )
         )
 
