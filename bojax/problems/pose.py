@@ -6,14 +6,18 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
+from bojax.models.checks import is_known
 from bojax.motions.base import Path, Pose, place
-from bojax.numerics.trial import Misfit, require, trial
+from bojax.numerics.trial import Misfit, computed, is_users, require, trial, trial_of
 from bojax.problems.base import Objective
 from bojax.problems.path_problem import PathEvents, PathProblem, Simulation
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
+
+_NUM_STARTS, _NUM_POSES = 8, 10
 
 
 class Outcome(eqx.Module):
@@ -50,6 +54,9 @@ class PoseProblem(PathProblem):
     def __check_init__(self):
         """Call `start` and `outcome` of a user's problem, or raise ValueError."""
         trial(self, _check_path, jax.random.key(0))
+        if is_users(self) and is_known(self):
+            with trial_of(type(self).__name__):
+                _check_numbers(self)
 
     @abc.abstractmethod
     def start(self, key: Key[Array, ""]) -> Pose:
@@ -153,3 +160,24 @@ def _check_path(problem: PoseProblem, key: Key[Array, ""]) -> None:
         require(f"Outcome.{name}", getattr(outcome, name), truth)
     if jnp.shape(outcome.last) != () or not jnp.issubdtype(jnp.result_type(outcome.last), jnp.integer):
         raise Misfit("Outcome.last is not one integer")
+
+
+def _sample(problem: PoseProblem, key: Key[Array, ""]) -> tuple[Float[Array, "N 3"], Outcome]:
+    """A few starts, and the outcome of driving 1 m straight ahead from each."""
+    starts = jax.vmap(problem.start)(jax.random.split(key, _NUM_STARTS))
+    path = jnp.zeros((_NUM_POSES, 3), starts.dtype).at[:, 0].set(jnp.arange(1, _NUM_POSES + 1) / _NUM_POSES)
+    return starts, jax.vmap(lambda start: problem.outcome(start, place(path, start)))(starts)
+
+
+def _check_numbers(problem: PoseProblem) -> None:
+    """Refuse poses and rewards that are not finite, indices outside of the path, and impure methods."""
+    starts, outcome = computed(_sample, problem)
+    if not np.all(np.isfinite(starts)):
+        raise Misfit("start: a pose is not finite")
+    if not np.all(np.isfinite(outcome.reward)):
+        raise Misfit("Outcome.reward is not finite")
+    if np.any(is_off := (outcome.last < 0) | (outcome.last >= _NUM_POSES)):
+        raise Misfit(
+            f"Outcome.last is {outcome.last[is_off][0]} for a path of {_NUM_POSES} poses; allowed: from 0 to "
+            f"{_NUM_POSES - 1}"
+        )
