@@ -79,7 +79,7 @@ class Box(ActionSpace):
 
     @override
     def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
-        return jnp.all((self.low <= action) & (action <= self.high))
+        return jnp.all((self.low <= action) & (action <= self.high) & jnp.isfinite(action))
 
     @override
     def coordinates(self, parameters: Float[Array, "K"]) -> Float[Array, "C"]:

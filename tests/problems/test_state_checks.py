@@ -23,6 +23,7 @@ from tests.refusals import assert_refused, without_annotation_checks
 NUMBERS = [
     "",
     "actions",
+    "bounds",
     "reward",
     "value",
     "no noise",
@@ -50,7 +51,7 @@ class Line(StateProblem):
     @property
     def actions(self):
         low = jnp.where(self.has("actions"), jnp.ones(1), -jnp.ones(1))
-        return Box(low, -low)
+        return Box(low, jnp.where(self.has("bounds"), jnp.inf, -low))
 
     def initial(self, key):
         return jnp.zeros(()) if self.mistake == "initial" else jax.random.normal(key, (1,), float)
@@ -175,6 +176,7 @@ def test_shipped_problems_would_pass(kind, monkeypatch):
 def test_a_problem_with_a_mistake_is_refused_in_one_line():
     mistakes = (
         ("actions", "actions: a random action is not in the action space"),
+        ("bounds", "actions: a random action is not in the action space; allowed: finite bounds"),
         ("reward", "initial or step: a state or a reward is not finite"),
         ("value", "heuristic_value: the value of a state is not finite"),
         (
