@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
+from bojax.numerics.trial import described
+
 
 class ActionSpace(eqx.Module):
     """The actions of a problem, and the parameters by which a planner names them."""
@@ -58,7 +60,10 @@ class Box(ActionSpace):
     def __check_init__(self) -> None:
         shapes = [getattr(bound, "shape", ()) for bound in (self.low, self.high)]
         if len(shapes[0]) != 1 or shapes[0] != shapes[1]:
-            raise ValueError(f"Box: got bounds of shapes {shapes[0]} and {shapes[1]}; allowed: two vectors")
+            got = " and ".join(map(described, (self.low, self.high)))
+            raise ValueError(
+                f"Box: got {got}; allowed: two vectors of one length, as arrays with the dtype of a field"
+            )
 
     @property
     @override

@@ -221,8 +221,13 @@ def test_discrete_actions_are_rows_of_numbers():
 
 def test_bounds_of_a_box_are_two_vectors():
     with without_annotation_checks():
-        bounds: list[Any] = [(-1.0, 1.0), (jnp.zeros(1), jnp.ones(2))]
-        assert_refused([(partial(Box, *each), "^Box: got .*; allowed: two vectors") for each in bounds])
+        message = "^Box: got {}; allowed: two vectors of one length, as arrays"
+        bounds: list[Any] = [
+            (-1.0, 1.0, "float and float"),
+            ([-1.0], [1.0], "list and list"),
+            (jnp.zeros(1), jnp.ones(2), r"float64 of shape \(1,\) and float64 of shape \(2,\)"),
+        ]
+        assert_refused([(partial(Box, *each), message.format(got)) for *each, got in bounds])
 
 
 def test_wrong_shapes_are_refused():
