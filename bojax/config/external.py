@@ -172,8 +172,8 @@ def _import(kind: str) -> type:
 
 
 def _check_protocol(cls: type, role: str, kind: str) -> None:
-    """Refuse a class that lacks abstract methods of the base class of its role."""
-    missing = set(getattr(cls, "__abstractmethods__", ()))
+    """Refuse a class that lacks abstract methods or fields of the base class of its role."""
+    missing = {*getattr(cls, "__abstractmethods__", ()), *getattr(cls, "__abstractvars__", ())}
     base = roles()[role].protocol
     if base:
         protocol: Any = import_target(base)
@@ -181,8 +181,9 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         missing |= protocol.__abstractmethods__ - has
     if missing:
         names = sorted(missing)
-        # The class that declares a method describes it; one that only has its methods has no such base.
-        owner = next((parent for parent in cls.__mro__ if names[0] in vars(parent)), None)
+        # The class that declares a name describes it; one that only has its methods has no such base.
+        owners = (each for each in cls.__mro__ if names[0] in vars(each) | inspect.get_annotations(each))
+        owner = next(owners, None)
         see = f"{owner.__module__}.{owner.__name__}" if owner else base.replace(":", ".")
         hint = f"; see {see}" if see else ""
         if any(parent.__module__.startswith("gymnasium.") for parent in cls.__mro__):

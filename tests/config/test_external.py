@@ -67,6 +67,13 @@ class Nested(Kernel):
         return jnp.zeros(())
 
 
+class Fieldless(Kernel):
+    lengthscale: eqx.AbstractVar[Float[Array, ""]]
+
+    def __call__(self, x, y):
+        return jnp.zeros(())
+
+
 class Lacking(eqx.Module):
     lengthscale: float
 
@@ -208,6 +215,8 @@ planner.kernel=my_kernels:Nested
 => the annotation of inner in Nested is not the type of a setting; allowed:
 planner.kernel=my_kernels:Lacking
 => the class does not implement __call__; see bojax.models.kernels.Kernel
+planner.kernel=my_kernels:Fieldless
+=> the class does not implement lengthscale; see my_kernels.Fieldless
 planner.kernel=my_kernels:Registered
 => does not implement __call__; a class of Gymnasium is registered there, and given by kind=gymnasium
 planner.kernel=my_kernels:Annotated
