@@ -42,8 +42,12 @@ class BeliefPlanner(Planner):
             with trial_of(name) if is_users(self) else nullcontext():
                 _plan_once(shapes(self), shapes(problem))
         except (AttributeError, TypeError, IndexError, Misfit) as error:
+            reason = str(error)
+            if isinstance(error, AttributeError) and isinstance(error.obj, StateProblem):
+                reason = f"{type(problem).__name__} has no `{error.name}`, which a policy or proposal needs"
             raise ValueError(
-                f"planner: does not fit the problem: {error}; allowed: policies and proposals for its actions"
+                f"planner: does not fit the problem: {reason}; "
+                "allowed: policies and proposals for its actions"
             ) from error
         if is_users(self):
             _check_action(name, self, problem)

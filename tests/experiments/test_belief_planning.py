@@ -237,6 +237,14 @@ def test_a_planner_with_a_mistake_is_refused_in_one_line():
         )
 
 
+def test_a_policy_that_needs_what_the_problem_lacks_is_refused():
+    message = (
+        "^planner: does not fit the problem: Counter has no `values_at`, which a policy or proposal needs"
+    )
+    with without_annotation_checks():
+        assert_refused([(lambda: PlanningEpisode(Counter(), PolicyPlanner("qmdp")), message)])
+
+
 def test_planners_and_problems_with_other_actions_are_refused():
     on_paths, policy = RandomPlanner(kernel()), PolicyPlanner(always)
     assert_refused(
