@@ -53,8 +53,10 @@ class PoseProblem(PathProblem):
     @override
     def __check_init__(self):
         """Call `start` and `outcome` of a user's problem, or raise ValueError."""
-        trial(self, _check_path, jax.random.key(0))
-        if is_users(self) and is_known(self):
+        key = jax.random.key(0)
+        trial(self, _check_path, key)
+        # While JAX traces anything, the key is traced too, and nothing can be computed.
+        if is_users(self) and is_known((self, key)):
             with trial_of(type(self).__name__):
                 _check_numbers(self)
 

@@ -1,8 +1,10 @@
 """A field or a pose problem of a user's class is called once before anything runs."""
 
+import dataclasses
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -75,6 +77,11 @@ def test_a_problem_whose_outcome_does_not_fit_is_refused():
             ("a counter", "not pure: two calls with equal arguments differ"),
         )
     )
+
+
+def test_a_problem_may_be_made_in_a_trace():
+    line = Line(jnp.asarray(0.1), jnp.asarray(0.1))
+    jax.jit(lambda: dataclasses.replace(line).start(jax.random.key(0)))()
 
 
 def test_a_problem_with_wrong_numbers_is_refused():
