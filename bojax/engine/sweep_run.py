@@ -103,7 +103,7 @@ class SweepRun:
             finish: Called with the results folder of a finished sweep.
         """
         merged = self._merge()
-        odd = (
+        warnings = (
             (len(merged.nans), "NaN", "nans"),
             (merged.num_ignoring, "samples left out", "ignored_samples"),
             (merged.num_collapsed, "an observation that no particle of the belief explained", "collapses"),
@@ -113,7 +113,7 @@ class SweepRun:
                 "sampled_gradient",
             ),
         )
-        for number, what, column in odd:
+        for number, what, column in warnings:
             if number:
                 runs = "run" if number == 1 else "runs"
                 say(f"warning: {number} {runs} with {what}: see column {column} of runs.parquet")
