@@ -29,7 +29,7 @@ from bojax.engine.program import Program
 from bojax.engine.program_cache import folder_of
 from bojax.engine.xla_choices import XLA_FOLDER, measured, shipped, write, xla_folder
 from bojax.errors import FAILURE
-from bojax.results.store import make_folder, publish_checked_json, read_checked_json
+from bojax.results.store import ResultsError, explained, publish_checked_json, read_checked_json
 
 _COPIES = frozenset({"empty", "recorded", "select"})
 """Programs that only move numbers."""
@@ -109,14 +109,22 @@ class Choices:
 
     def _publish(self, name: str, content: str) -> str:
         """Publish a program unless another process has done so; returns the hash that is published."""
+        # A program for fewer lanes may still be compiled when its sweep ends without it. Its file must not
+        # bring the working folder back: the sweep would seem unfinished.
         path = self.folder / f"{name}.json"
-        if not path.exists():
-            make_folder(self.folder)
-            with self._lock:
-                self._news()
-                published = set(self._published)
-            publish_checked_json(path, {"program": content, "choices": measured(published)})
-        return str(read_checked_json(path)["program"])
+        try:
+            if not path.exists():
+                with explained(self.folder):
+                    self.folder.mkdir(exist_ok=True)
+                with self._lock:
+                    self._news()
+                    published = set(self._published)
+                publish_checked_json(path, {"program": content, "choices": measured(published)})
+            return str(read_checked_json(path)["program"])
+        except ResultsError:
+            if self.folder.parent.exists():
+                raise
+            return content
 
     def _news(self) -> dict[str, str]:
         """The choices of files that were not read yet, by the names of XLA's files."""

@@ -17,7 +17,7 @@ from bojax.engine.errors import EngineError
 from bojax.engine.program import Program
 from bojax.engine.storage import FolderStorage
 from bojax.engine.xla_choices import XLA_FOLDER
-from bojax.results.folder import RunFolder
+from bojax.results.folder import RunFolder, is_unfinished
 from bojax.results.store import ResultsError, read_checked_json, read_manifest
 from tests.engine.drive import run_sweep, run_toy
 from tests.engine.test_program_cache import caching_in
@@ -198,8 +198,15 @@ def test_programs_that_move_numbers_have_no_choices(tmp_path):
 
 def test_a_damaged_file_is_an_error_that_names_it(tmp_path):
     folder = RunFolder(tmp_path)
+    folder.work.mkdir()
     Choices(folder.choices).settle("0-8-advance", Made("tile 8"), never)
     assert set(folder.programs()) == {"0-8-advance"}
     (folder.choices / "0-8-advance.json").write_text("{}")
     with pytest.raises(ResultsError, match=r"0-8-advance\.json"):
         Choices(folder.choices).offer()
+
+
+def test_a_program_that_is_compiled_after_the_end_of_its_sweep_brings_no_folder_back(tmp_path):
+    folder, made = RunFolder(tmp_path), Made("tile 8")
+    assert Choices(folder.choices).settle("0-2-advance", made, never) is made
+    assert not is_unfinished(tmp_path)
