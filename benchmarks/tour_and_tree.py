@@ -23,14 +23,16 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from bojax.areas.shapes import to_area
 from bojax.report.statistics import ratio_interval
+from bojax.surveys.lawnmower import Ground
 from bojax.surveys.league.fields import Field, league
 from bojax.surveys.league.routes import LEG, SPACING, adaptive_route
 from bojax.surveys.league.scores import scores_of, threshold_of
 from bojax.surveys.mission import Mission
 from bojax.surveys.polylines import Waypoints, length_of, points_along
 from bojax.surveys.route import fitted
-from bojax.surveys.search import THINNING, Search, part_around
+from bojax.surveys.search import THINNING, Search
 
 UNIT = 1.0
 DIRECTIONS, DRAWS, LEAVES, TOURS = 8, 16, 12, 40
@@ -113,12 +115,12 @@ def with_tree(mission: Mission, planned: Waypoints, seed: int) -> Waypoints:
     """A plan whose first unit is chosen by a tree; without measurements, the plan itself."""
     if not mission.num_measurements:
         return planned
-    area, ways = part_around(mission.area, mission.position)
+    ground = Ground.of(mission.area, mission.position)
     random = np.random.default_rng([seed, mission.num_measurements])
     with jax.enable_x64(True):
         tree = Tree(
-            mission.posterior(), area, mission.remaining, mission.position, None, mission.goal,
-            spacing=SPACING, ways=ways, random=random,
+            mission.posterior(), to_area(ground.shape), mission.remaining, mission.position, None,
+            mission.goal, spacing=SPACING, ways=ground.transfers, random=random,
         )  # fmt: skip
     return tree.next_route(planned)
 

@@ -9,7 +9,6 @@ from jaxtyping import Array, Bool, Float
 
 from bojax.areas.area import Area
 from bojax.areas.distance_grid import DistanceGrid
-from bojax.areas.place import read_outlined
 
 
 class OutlinedArea(eqx.Module):
@@ -43,6 +42,8 @@ class OutlinedArea(eqx.Module):
         Raises:
             ValueError: A file cannot be read, or holds no area.
         """
+        from bojax.areas.place import read_outlined  # not at the start of every run
+
         area = read_outlined(file, tuple(avoid), below, frame, sha256).area
         x_min, y_min, x_max, y_max = area.bounds
         self.distance = DistanceGrid.of(area, max(x_max - x_min, y_max - y_min) / resolution)

@@ -6,21 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
 
 from bojax.areas import polygons
 from bojax.areas.area import Area, check_inside
-from bojax.areas.shapes import shapely_module, to_area, to_shape
+from bojax.areas.shapes import to_area, to_shape
 from bojax.fields.data import Points, split_choice
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
 from bojax.fields.raster_files import SUFFIXES as RASTERS
 from bojax.fields.raster_files import frame_of, read_raster
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 MOST_CELLS = 1_000_000
 """Cells of a raster; larger ones are thinned."""
@@ -99,7 +97,7 @@ class Place:
         """
         zones = self._read_shape(file)
         shape = to_shape(self.area)
-        left = shapely_module().difference(shape, zones)
+        left = shapely.difference(shape, zones)
         if left.area <= 1e-9 * shape.area:
             raise ValueError(f"{file}: its no-go zones leave nothing of the area")
         reduced = replace(self, area=to_area(left))
@@ -113,12 +111,12 @@ class Place:
             ValueError: The file cannot be read, has another system, or no part of it is in the area.
         """
         shape = to_shape(self.area)
-        inside = shapely_module().intersection(shape, self._read_shape(file))
+        inside = shapely.intersection(shape, self._read_shape(file))
         if inside.area <= 1e-9 * shape.area:
             raise ValueError(f"{file}: no part of it is in the area")
         return to_area(inside)
 
-    def _read_shape(self, file: str) -> "BaseGeometry":
+    def _read_shape(self, file: str) -> BaseGeometry:
         """The polygons in a file, or the cells with data of a raster, in the frame of the place."""
         try:
             if Path(file).suffix.lower() in polygons.SUFFIXES:
@@ -233,7 +231,7 @@ def _metres(text: str, unit: str, name: str) -> float:
     return value
 
 
-def _surveyed(raster: Raster, below: float | None) -> "BaseGeometry":
+def _surveyed(raster: Raster, below: float | None) -> BaseGeometry:
     inside = ~raster.is_hole
     if below is not None:
         inside &= np.nan_to_num(raster.values, nan=np.inf) < below
@@ -248,15 +246,14 @@ def area_of_cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> Area:
     return to_area(_around(x, y, inside))
 
 
-def _shape_of(raster: Raster, inside: np.ndarray) -> "BaseGeometry":
+def _shape_of(raster: Raster, inside: np.ndarray) -> BaseGeometry:
     return _around(raster.x, raster.y, inside)
 
 
-def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> "BaseGeometry":
+def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> BaseGeometry:
     """Polygons around the cells that are inside; their border is half a cell from the centres of these."""
     from contourpy import FillType, contour_generator
 
-    shapely = shapely_module()
     x_step, y_step = x[1] - x[0], y[1] - y[0]
     x = np.concatenate([[x[0] - x_step], x, [x[-1] + x_step]])
     y = np.concatenate([[y[0] - y_step], y, [y[-1] + y_step]])
@@ -269,5 +266,5 @@ def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> "BaseGeometry":
     return shape.simplify(0.3 * min(x_step, y_step))
 
 
-def _moved(shape: "BaseGeometry", map_points) -> "BaseGeometry":
-    return shapely_module().transform(shape, map_points)
+def _moved(shape: BaseGeometry, map_points) -> BaseGeometry:
+    return shapely.transform(shape, map_points)

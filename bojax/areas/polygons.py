@@ -3,18 +3,16 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
 
-from bojax.areas.shapes import shapely_module
 from bojax.config.limits import TEXT, read_within
 from bojax.fields.raster import DEGREES
 from bojax.text import one_line
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 SUFFIXES = (".geojson", ".json", ".kml")
 """Endings of the names of files that hold polygons."""
@@ -24,7 +22,7 @@ SUFFIXES = (".geojson", ".json", ".kml")
 class Polygons:
     """Polygons of a file."""
 
-    shape: "BaseGeometry"  # all of them, in the coordinates of the file
+    shape: BaseGeometry  # all of them, in the coordinates of the file
     crs: str | None  # their coordinate reference system; None for metres without a place on the Earth
 
 
@@ -54,13 +52,12 @@ def read_polygons(file: str) -> Polygons:
     return Polygons(_united(found, file), crs)
 
 
-def _united(found: list[list[Any]], file: str) -> "BaseGeometry":
+def _united(found: list[list[Any]], file: str) -> BaseGeometry:
     """The union of polygons, each a list of its border and those of its holes.
 
     Raises:
         ValueError: A ring is too short or a polygon crosses itself.
     """
-    shapely = shapely_module()
     polygons = []
     for number, rings in enumerate(found, start=1):
         name = f"{file}: polygon {number} of {len(found)}"
@@ -79,8 +76,8 @@ def _united(found: list[list[Any]], file: str) -> "BaseGeometry":
     return shapely.union_all(polygons)
 
 
-def _reason(polygon: "BaseGeometry") -> str:
-    return one_line(shapely_module().is_valid_reason(polygon)).replace("[", " at ").replace("]", "").lower()
+def _reason(polygon: BaseGeometry) -> str:
+    return one_line(shapely.is_valid_reason(polygon)).replace("[", " at ").replace("]", "").lower()
 
 
 def _of_geojson(content: Any) -> tuple[list[list[Any]], str | None]:

@@ -97,10 +97,11 @@ class OutlinedArea(AreaSettings, frozen=True):
             ValueError: A point is not in the area, or nothing joins it to the others.
         """
         import numpy as np
+        import shapely
 
-        from bojax.areas.shapes import polygons_of, shapely_module, to_shape
+        from bojax.areas.shapes import polygons_of, to_shape
 
-        shapely, place = shapely_module(), self.place
+        place = self.place
         parts = polygons_of(to_shape(place.area))
         held = [set(range(len(parts)))]
         x_min, y_min, x_max, y_max = place.area.bounds

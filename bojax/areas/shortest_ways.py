@@ -1,17 +1,15 @@
 """The shortest ways in an area from everywhere to one point, as a table of the next corner of each."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import shapely
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
+from shapely.geometry.base import BaseGeometry
 
-from bojax.areas.shapes import shapely_module
 from bojax.areas.transfers import Transfers
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 CELLS = 128
 """Cells along the longer side of the table."""
@@ -45,7 +43,7 @@ class _Tree(NamedTuple):
         return _Tree(self.corners[is_kept], following, self.rest[is_kept]), renumbered
 
 
-def shortest_ways(shape: "BaseGeometry", end: np.ndarray) -> ShortestWays:
+def shortest_ways(shape: BaseGeometry, end: np.ndarray) -> ShortestWays:
     """The shortest ways in a polygon to a point `[2]` in it."""
     transfers = Transfers(shape)
     x_min, y_min, x_max, y_max = shape.bounds
@@ -55,7 +53,7 @@ def shortest_ways(shape: "BaseGeometry", end: np.ndarray) -> ShortestWays:
         for low, high in ((x_min, x_max), (y_min, y_max))
     )
     x, y = np.meshgrid(columns, rows)
-    is_inside = shapely_module().intersects_xy(shape, x, y)
+    is_inside = shapely.intersects_xy(shape, x, y)
     points = np.stack([x[is_inside], y[is_inside]], axis=1)
     if transfers.has_few_corners:
         tree = _by_sight(transfers, end)

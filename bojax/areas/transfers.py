@@ -1,30 +1,16 @@
 """Shortest paths in an area, around its holes and no-go zones."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+import shapely
 from scipy.sparse.csgraph import dijkstra
+from shapely.geometry.base import BaseGeometry
 
-from bojax.areas.shapes import rings_of, shapely_module
+from bojax.areas.shapes import rings_of
 from bojax.areas.triangles import Triangles, nodes_to
 
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
-
 MOST_CORNERS = 400  # of the visibility graph
-
-
-class Ways(Protocol):
-    """Ways between two points, as of `Transfers`."""
-
-    def are_clear(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the area."""
-        ...
-
-    def path(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Waypoints `[W, 2]` of a way between two points, or a `ValueError` if there is none."""
-        ...
 
 
 class Transfers:
@@ -35,12 +21,11 @@ class Transfers:
     shortened by line of sight instead: they are a few per cent longer than the shortest.
     """
 
-    def __init__(self, shape: "BaseGeometry", clearance: float = 0.0):
+    def __init__(self, shape: BaseGeometry, clearance: float = 0.0):
         """Prepare the paths in `shape`; paths may run along its border.
 
         With a clearance, they bend at least so far from it, m, where there is room for that.
         """
-        shapely = shapely_module()
         x_min, y_min, x_max, y_max = shape.bounds
         self._tolerance = max(1e-9 * max(x_max - x_min, y_max - y_min), 1e-6)  # as of `check_inside`
         self._shape = shape.buffer(self._tolerance)
@@ -51,7 +36,6 @@ class Transfers:
 
     def are_clear(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the shape."""
-        shapely = shapely_module()
         lines = shapely.linestrings(np.stack([first, last], axis=1))
         return np.asarray(shapely.covers(self._shape, lines))
 
@@ -135,9 +119,8 @@ class Transfers:
         return corners, np.where(is_clear | is_clear.T, lengths, np.inf)
 
 
-def _outer_corners(shape: "BaseGeometry") -> np.ndarray:
+def _outer_corners(shape: BaseGeometry) -> np.ndarray:
     """Corners where the inner angle of the shape exceeds half a turn."""
-    shapely = shapely_module()
     corners = []
     for ring in rings_of(shapely.orient_polygons(shape, exterior_cw=False)):
         points = ring[:-1]

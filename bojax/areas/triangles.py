@@ -1,15 +1,10 @@
 """Ways along the edges of triangles that a shape is divided into."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import shapely
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
-
-from bojax.areas.shapes import shapely_module
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
+from shapely.geometry.base import BaseGeometry
 
 NEAR = 3.0  # lengths of the straight line within which a way is looked for first
 
@@ -20,9 +15,8 @@ class Triangles:
     The number of edges is in proportion to that of the corners, unlike in a visibility graph.
     """
 
-    def __init__(self, shape: "BaseGeometry"):
+    def __init__(self, shape: BaseGeometry):
         """Divide a shape."""
-        shapely = shapely_module()
         triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
         self._tree = shapely.STRtree(triangles)
         points = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
@@ -72,13 +66,12 @@ class Triangles:
 
     def around_each(self, points: np.ndarray, tolerance: float) -> np.ndarray:
         """Indices `[N, 3]` of the corners of a triangle that each point is in."""
-        shapely = shapely_module()
         of, found = self._tree.query(shapely.points(points), predicate="dwithin", distance=tolerance)
         return self._triangles[found[np.unique(of, return_index=True)[1]]]
 
     def _around(self, point: np.ndarray, tolerance: float) -> np.ndarray:
         """Indices of the corners of the triangles that a point is in."""
-        found = self._tree.query(shapely_module().Point(point), predicate="dwithin", distance=tolerance)
+        found = self._tree.query(shapely.Point(point), predicate="dwithin", distance=tolerance)
         return np.unique(self._triangles[found])
 
 

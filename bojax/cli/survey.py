@@ -29,7 +29,7 @@ _DESCRIPTION = """\
 Plan the route of a robot or a boat that maps a field over an area, such as depth or temperature. AREA is a
 file of polygons (GeoJSON, KML), a raster whose cells without data are holes (GeoTIFF, NetCDF, ESRI ASCII,
 XYZ, .npz, .npy, .csv), or a size in metres. Points are given in the coordinates of AREA: longitude and
-latitude, or x and y. Needs the extra geo."""
+latitude, or x and y. GeoTIFF, NetCDF and map projections need the extra geo."""
 
 _UNITS = {"s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 

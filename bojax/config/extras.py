@@ -8,7 +8,7 @@ from bojax.errors import UserError
 
 OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
-    "geo": ("rasterio", "GeoTIFF, NetCDF, map projections and bojax survey"),
+    "geo": ("rasterio", "GeoTIFF, NetCDF and map projections"),
     "ray": ("ray", "--launcher ray"),
     "tensorboard": ("tensorboardX", "bojax export --to tensorboard, event files in bojax compare"),
     "wandb": ("wandb", "bojax export --to wandb"),

@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bojax.areas.outlined import OutlinedArea
-from bojax.areas.shapes import polygons_of, shapely_module, to_shape
-from bojax.areas.shortest_ways import shortest_ways
 from bojax.models.checks import is_known
 from bojax.motions.base import Path, Pose
 from bojax.motions.polylines import headings_along, lengths_along, points_along
@@ -95,11 +93,14 @@ def ways_around(
 
     Raises:
         ValueError: The end point is not in the area, or the values are traced.
-        MissingExtra: The extra `geo` is not installed.
     """
+    import shapely  # not at the start of every run
+
+    from bojax.areas.shapes import polygons_of, to_shape
+    from bojax.areas.shortest_ways import shortest_ways
+
     if not is_known((end, domain, walls, area)):
         raise ValueError("end: cannot be traced with walls or an area; allowed: pass `ways` as well")
-    shapely = shapely_module()
     free = shapely.box(*np.asarray(domain, float).tolist())
     if area is not None:
         free = shapely.intersection(free, to_shape(area.area))

@@ -11,19 +11,17 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 from scipy.spatial.distance import cdist
+from shapely.geometry.base import BaseGeometry
 
 from bojax.areas.area import Area, edges_of
-from bojax.areas.shapes import polygons_of, rings_of, shapely_module, to_shape
-from bojax.areas.transfers import Transfers, Ways
+from bojax.areas.shapes import polygons_of, rings_of, to_shape
+from bojax.areas.transfers import Transfers
 from bojax.surveys.polylines import driven_at, length_of
 from bojax.surveys.turns import Turned, turned
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 DIRECTIONS = 8
 """Number of directions of the lines that are tried."""
@@ -39,7 +37,7 @@ MOST_LINES = 10_000
 class Ground:
     """A connected area, prepared for many routes."""
 
-    shape: "BaseGeometry"  # its polygon
+    shape: BaseGeometry  # its polygon
     transfers: Transfers  # shortest paths in it
     turning_radius: float = 0.0  # least radius of the turns of routes in it, m; 0 for turns on the spot
 
@@ -50,7 +48,6 @@ class Ground:
         Raises:
             ValueError: The area is empty, or does not contain the point.
         """
-        shapely = shapely_module()
         parts = polygons_of(to_shape(area))
         if not parts:
             raise ValueError("the area is empty")
@@ -319,7 +316,7 @@ def _in_order(
     return [ways[index] for index in best]
 
 
-def joined(legs: Sequence[np.ndarray], transfers: Ways) -> np.ndarray:
+def joined(legs: Sequence[np.ndarray], transfers: Transfers) -> np.ndarray:
     """One route over all legs, with transfers within and between them that stay in the area."""
     points = np.concatenate(legs)
     is_clear = transfers.are_clear(points[:-1], points[1:])
@@ -332,7 +329,7 @@ def joined(legs: Sequence[np.ndarray], transfers: Ways) -> np.ndarray:
     return np.concatenate(route)
 
 
-def cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Ways) -> np.ndarray:
+def cut(route: np.ndarray, budget: float, end: np.ndarray | None, transfers: Transfers) -> np.ndarray:
     """The beginning of a route and the way to its end, together at most as long as the budget."""
     driven = driven_at(route)
 

@@ -1,16 +1,18 @@
 """The planner that drives a lawnmower: the baseline that covers an area without a look at the field."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import shapely
 from jaxtyping import Array, Float
+from shapely.geometry.base import BaseGeometry
 from typing_extensions import override
 
 from bojax.areas.area import Area
-from bojax.areas.shapes import polygons_of, shapely_module, to_shape
+from bojax.areas.shapes import polygons_of, to_shape
 from bojax.areas.transfers import Transfers
 from bojax.motions.polylines import points_along
 from bojax.planning.routes.follower import RouteFollower
@@ -21,9 +23,6 @@ from bojax.problems.walls import Boxes
 from bojax.problems.ways_to_end import WaysToEnd, ways_around
 from bojax.surveys.lawnmower import DIRECTIONS, Ground, cut, lawnmower, lawnmowers_within
 from bojax.surveys.polylines import Waypoints, length_of
-
-if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
 
 WAYPOINTS = 64  # the number of waypoints is a multiple of this
 GRID_POINTS = 400  # of the area, whose distances from routes are compared
@@ -99,14 +98,13 @@ class Lawnmower(RouteFollower):
         route = jnp.concatenate([self.approach.way(begin), self.waypoints])
         return points_along(route, distances - jnp.where(is_first, 0.0, step), step)[0]
 
-    def _laid(self, problem: FieldProblem, free: "BaseGeometry") -> Waypoints:
+    def _laid(self, problem: FieldProblem, free: BaseGeometry) -> Waypoints:
         start = None if problem.start is None else np.asarray(problem.start[:2], float)
         ends = start, None if problem.end is None else np.asarray(problem.end, float)
         parts, anchor = polygons_of(free), ends[0] if start is not None else ends[1]
         if not parts:
             raise ValueError("problem: no free space to lay a lawnmower in; allowed: another planner")
         if anchor is not None:
-            shapely = shapely_module()
             parts.sort(key=lambda part: shapely.distance(part, shapely.Point(anchor)))
         ground = Ground(parts[0], Transfers(parts[0]))
         inside = [None if end is None else _nearest(ground, end) for end in ends]
@@ -144,14 +142,13 @@ class Lawnmower(RouteFollower):
         return total - min(0.5 * math.hypot(x_max - x_min, y_max - y_min), 0.5 * total)
 
 
-def _free_space(problem: FieldProblem, step: float) -> tuple[float, "BaseGeometry"]:
+def _free_space(problem: FieldProblem, step: float) -> tuple[float, BaseGeometry]:
     """A distance to keep from obstacles, m, and the space with it: without it, corners would be cut.
 
     It does not close a passage: as many parts remain as without it.
     """
-    shapely = shapely_module()
 
-    def space(clearance: float) -> "BaseGeometry":
+    def space(clearance: float) -> BaseGeometry:
         free = shapely.box(*np.asarray(problem.domain, float).tolist())
         if problem.area is not None:
             area = to_shape(problem.area.area).buffer(-clearance, join_style="mitre")
@@ -171,12 +168,10 @@ def _grown(walls: Boxes | None, clearance: float) -> Boxes | None:
 
 
 def _nearest(ground: Ground, point: np.ndarray) -> np.ndarray:
-    shapely = shapely_module()
     return np.array(shapely.shortest_line(ground.shape, shapely.Point(point)).coords[0])
 
 
 def _mean_distance(ground: Ground, route: Waypoints) -> float:
     """Mean distance of the points of an area from a route, m."""
-    shapely = shapely_module()
     points = Area(tuple(ground.rings)).grid(math.sqrt(ground.size / GRID_POINTS))
     return float(np.mean(shapely.distance(shapely.LineString(route), shapely.points(points))))

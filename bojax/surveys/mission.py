@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from bojax.areas.area import Area, check_inside
-from bojax.config.extras import MissingExtra
+from bojax.areas.shapes import to_area
 from bojax.fields.scale import unit_doubt
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal, goal_of
@@ -22,7 +22,7 @@ from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.robot import Robot
 from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
-from bojax.surveys.search import Search, part_around
+from bojax.surveys.search import Search
 from bojax.surveys.team import MOST_ROBOTS
 from bojax.surveys.turns import drivable
 from bojax.surveys.validation import above_zero, numbers, positions, rows
@@ -264,17 +264,12 @@ class Mission:
     def _way(self, entry: Waypoints, end: Waypoints | None) -> Waypoints:
         """The shortest way in the area to an end; of no length without one.
 
-        Without shapely, it is a straight one, which may leave the area.
-
         Raises:
             ValueError: No path in the area joins them.
         """
         if end is None:
             return np.stack([entry, entry])
-        try:
-            return Ground.of(self.area, entry).transfers.path(entry, end)
-        except MissingExtra:
-            return np.stack([entry, end])
+        return Ground.of(self.area, entry).transfers.path(entry, end)
 
     def _descended(self, legs: list[_Leg], returning: list[Waypoints]) -> list[Route]:
         """Routes of least expected error at the places that count, beside those of returning robots."""
@@ -316,16 +311,16 @@ class Mission:
         rests = [self._earlier(leg) for leg in legs]
         for number, leg in enumerate(legs):
             later = [rest for rest in rests[number + 1 :] if rest is not None]
-            area, ways = part_around(self.area, leg.entry)
+            ground = Ground.of(self.area, leg.entry)
             search = Search(
                 self.posterior(),
-                area,
+                to_area(ground.shape),
                 leg.left,
                 leg.entry,
                 leg.robot.end,
                 goal,
                 spacing=self.spacing,
-                ways=ways,
+                ways=ground.transfers,
                 random=np.random.default_rng([self.seed, self._plans, *([number] if number else [])]),
                 others=[*returning, *(route.waypoints for route in routes), *later],
                 separation=self.separation,
@@ -489,5 +484,5 @@ class Mission:
             return {**lawnmower_guesses(
                 self.posterior(), self.area, self.goal.region, demand, self.spacing, self._options.restarts
             )}  # fmt: skip
-        except (MissingExtra, ValueError):  # without shapely, or a budget for them
+        except ValueError:  # without a budget for them
             return {}

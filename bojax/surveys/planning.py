@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import shapely
 from scipy.spatial import KDTree
 
 from bojax.areas.area import Area
-from bojax.areas.shapes import shapely_module, to_shape
+from bojax.areas.shapes import to_shape
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal
 from bojax.surveys.information import PointErrors, left_by
@@ -274,7 +275,7 @@ def ground_within(ground: Ground, region: Area) -> Ground:
     Raises:
         ValueError: No part of the region is in the ground.
     """
-    shape = shapely_module().intersection(ground.shape, to_shape(region))
+    shape = shapely.intersection(ground.shape, to_shape(region))
     if shape.area <= 1e-9 * ground.size:
         raise ValueError("region: no part of it is in the part of the area that is surveyed")
     return dataclasses.replace(ground, shape=shape)

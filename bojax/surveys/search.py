@@ -13,15 +13,13 @@ from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
 from bojax.areas.area import Area
-from bojax.areas.shapes import to_area
-from bojax.areas.transfers import Ways
-from bojax.config.extras import MissingExtra
+from bojax.areas.transfers import Transfers
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal
 from bojax.surveys.guesses import tour
-from bojax.surveys.lawnmower import Ground, cut, joined
+from bojax.surveys.lawnmower import cut, joined
 from bojax.surveys.polylines import Waypoints, distance_to, length_of, points_along
-from bojax.surveys.route import NUM_SCORED, Route, spread_points, stays_inside
+from bojax.surveys.route import NUM_SCORED, Route, spread_points
 from bojax.surveys.team import FAN, keep_separation
 
 NUM_SAMPLES = 40
@@ -52,36 +50,6 @@ REACH = 0.1
 """Standard deviation of the move of a stop in the first round, as a share of the area's size."""
 
 
-class StraightLines:
-    """Ways in an area without obstacles."""
-
-    def __init__(self, area: Area):
-        """Lines that stay in the area."""
-        self._area = area
-
-    def are_clear(self, first: Waypoints, last: Waypoints) -> np.ndarray:
-        """Whether the straight line from each row of `first [N, 2]` to that of `last` stays in the area."""
-        return np.array([stays_inside(np.stack(pair), self._area) for pair in zip(first, last, strict=True)])
-
-    def path(self, first: Waypoints, last: Waypoints) -> Waypoints:
-        """The straight line between two points, or a `ValueError` if it leaves the area."""
-        if not self.are_clear(first[None], last[None])[0]:
-            raise ValueError("no straight line joins the points")
-        return np.stack([first, last])
-
-
-def part_around(area: Area, point: Waypoints) -> tuple[Area, Ways]:
-    """The part of an area that a point is in, and shortest paths in it.
-
-    Without shapely it is the whole area, and only straight lines join points.
-    """
-    try:
-        ground = Ground.of(area, point)
-    except MissingExtra:
-        return area, StraightLines(area)
-    return to_area(ground.shape), ground.transfers
-
-
 class Search:
     """A search for the route of one robot.
 
@@ -99,7 +67,7 @@ class Search:
         goal: Goal,
         *,
         spacing: float,
-        ways: Ways,
+        ways: Transfers,
         random: np.random.Generator,
         others: Sequence[Waypoints] = (),
         separation: float = 0.0,
@@ -114,7 +82,7 @@ class Search:
             end: Last point, m; free if None.
             goal: What the route is for, in the units of the belief.
             spacing: Distance between two measurements, m.
-            ways: Ways between two points in the area.
+            ways: Shortest paths in the area.
             random: Generator of tours and changes.
             others: Routes of other robots, whose samples count as taken.
             separation: Least distance from them, m, as of `least_distance`.

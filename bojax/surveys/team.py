@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import shapely
 
-from bojax.areas.shapes import shapely_module
 from bojax.surveys.lawnmower import Ground, lawnmower, lawnmowers_within
 from bojax.surveys.polylines import Waypoints, distance_to, driven_at, length_of, points_along
 from bojax.surveys.turns import Turned
@@ -26,7 +26,6 @@ def parts_of(ground: Ground, number: int, angle: float) -> list[Ground]:
     """The ground cut into parts of equal size by lines in a direction, with the transfers of the whole."""
     if number == 1:
         return [ground]
-    shapely = shapely_module()
     across = np.array([-math.sin(angle), math.cos(angle)])
     along = np.array([across[1], -across[0]])
     heights = np.concatenate(ground.rings) @ across

@@ -9,8 +9,6 @@ import pytest
 import bojax
 from bojax.surveys.turns import least_radius
 
-pytest.importorskip("shapely")
-
 
 def test_a_rectangle_is_surveyed(tmp_path):
     out = tmp_path / "out"

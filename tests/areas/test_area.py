@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+import shapely
 
 from bojax.areas import distance_grid
 from bojax.areas.area import Area
@@ -27,7 +28,6 @@ def test_a_hole_is_outside_like_a_zone() -> None:
 
 @pytest.mark.parametrize("num_rings", range(1, 8))
 def test_its_shape_has_what_lies_in_an_odd_number_of_rings(num_rings: int) -> None:
-    pytest.importorskip("shapely")
     rings = [5.0 + (HOLE - 5.0) * 4.0 * 0.8**k for k in range(num_rings)]  # one in the other
     sizes = [64.0 * 0.8 ** (2 * k) for k in range(num_rings)]
     expected = sum(size * (-1) ** k for k, size in enumerate(sizes))
@@ -42,7 +42,6 @@ def test_overlapping_zones_are_one_zone() -> None:
 
 @pytest.mark.parametrize("area", [RING, SQUARE.without([[HOLE]]), Area((L_SHAPE,))])
 def test_distances_agree_with_shapely(area: Area) -> None:
-    shapely = pytest.importorskip("shapely")
     polygon = shapely.Polygon(
         area.outline[0], [*area.outline[1:], *(ring for zone in area.avoid for ring in zone)]
     )

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-pytest.importorskip("shapely")
 pyproj = pytest.importorskip("pyproj")
 
 from bojax.areas.place import read_place  # noqa: E402

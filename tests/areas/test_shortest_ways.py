@@ -4,12 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas.shortest_ways import shortest_ways  # noqa: E402
-from bojax.areas.transfers import Transfers  # noqa: E402
-from bojax.problems.ways_to_end import WaysToEnd  # noqa: E402
+from bojax.areas.shortest_ways import shortest_ways
+from bojax.areas.transfers import Transfers
+from bojax.problems.ways_to_end import WaysToEnd
 
 
 def comb(num_walls):

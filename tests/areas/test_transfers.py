@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas import transfers  # noqa: E402
-from bojax.areas.area import Area  # noqa: E402
-from bojax.areas.shapes import polygons_of, to_area  # noqa: E402
-from bojax.areas.transfers import MOST_CORNERS, Transfers, _outer_corners  # noqa: E402
-from bojax.surveys.lawnmower import lawnmower  # noqa: E402
-from bojax.surveys.mission import Mission  # noqa: E402
-from bojax.surveys.polylines import length_of  # noqa: E402
+from bojax.areas import transfers
+from bojax.areas.area import Area
+from bojax.areas.shapes import polygons_of, to_area
+from bojax.areas.transfers import MOST_CORNERS, Transfers, _outer_corners
+from bojax.surveys.lawnmower import lawnmower
+from bojax.surveys.mission import Mission
+from bojax.surveys.polylines import length_of
 
 
 def speckled():

@@ -4,10 +4,8 @@ import json
 
 import pytest
 
-pytest.importorskip("shapely")
-
-from bojax.cli.main import main  # noqa: E402
-from bojax.surveys.league import cells, fields  # noqa: E402
+from bojax.cli.main import main
+from bojax.surveys.league import cells, fields
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from bojax.cli.doctor import CHECKS, examine
 from bojax.cli.main import _ANYWHERE, COMMANDS, Messages, entry, leave, main
 from tests.transcript import cases
 
-HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
+HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2", "shapely")
 
 
 MISTAKES = """\

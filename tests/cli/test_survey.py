@@ -6,28 +6,28 @@ from functools import partial
 
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
 pytest.importorskip("pyproj")
 pytest.importorskip("rasterio")
 
-from bojax.cli.main import main  # noqa: E402
-from bojax.config.sweep import load_config, load_sweep  # noqa: E402
-from bojax.config.yaml_file import read_mapping  # noqa: E402
-from bojax.engine.build import build  # noqa: E402
-from bojax.experiments.planning import PlanningEpisode  # noqa: E402
-from bojax.report import surveying  # noqa: E402
-from bojax.report.surveying import _distance, survey_summary  # noqa: E402
-from bojax.surveys import model, planning, simulated  # noqa: E402
-from bojax.surveys.remarks import remarks  # noqa: E402
-from bojax.surveys.route import RouteOptions  # noqa: E402
-from bojax.surveys.team import least_distance  # noqa: E402
-from bojax.surveys.turns import least_radius  # noqa: E402
-from tests.areas.test_place import HOLE, OUTER, geojson  # noqa: E402
-from tests.fields.test_raster_files import write_tif  # noqa: E402
-from tests.runs import run, tables  # noqa: E402
-from tests.surveys.test_model import notes_of  # noqa: E402
-from tests.transcript import cases  # noqa: E402
+from bojax.cli.main import main
+from bojax.config.sweep import load_config, load_sweep
+from bojax.config.yaml_file import read_mapping
+from bojax.engine.build import build
+from bojax.experiments.planning import PlanningEpisode
+from bojax.report import surveying
+from bojax.report.surveying import _distance, survey_summary
+from bojax.surveys import model, planning, simulated
+from bojax.surveys.remarks import remarks
+from bojax.surveys.route import RouteOptions
+from bojax.surveys.team import least_distance
+from bojax.surveys.turns import least_radius
+from tests.areas.test_place import HOLE, OUTER, geojson
+from tests.fields.test_raster_files import write_tif
+from tests.runs import run, tables
+from tests.surveys.test_model import notes_of
+from tests.transcript import cases
 
 
 @pytest.fixture(autouse=True)

@@ -8,18 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas.area import Area  # noqa: E402
-from bojax.areas.outlined import OutlinedArea  # noqa: E402
-from bojax.engine.build import build  # noqa: E402
-from bojax.fields.raster_files import local_extent, read_raster  # noqa: E402
-from bojax.motions.base import place  # noqa: E402
-from bojax.problems.settings import Monitoring  # noqa: E402
-from tests.planning.samples import f64, monitoring  # noqa: E402
-from tests.problems.test_monitoring import SIZE, drives  # noqa: E402
-from tests.runs import run, tables  # noqa: E402
+from bojax.areas.area import Area
+from bojax.areas.outlined import OutlinedArea
+from bojax.engine.build import build
+from bojax.fields.raster_files import local_extent, read_raster
+from bojax.motions.base import place
+from bojax.problems.settings import Monitoring
+from tests.planning.samples import f64, monitoring
+from tests.problems.test_monitoring import SIZE, drives
+from tests.runs import run, tables
 
 OUTER = [[0.0, 0.0], [3.0, 0.0], [3.0, 1.5], [2.0, 2.4], [0.0, 2.0], [0.0, 0.0]]
 HOLE = [[1.0, 0.7], [1.6, 0.6], [1.7, 1.3], [1.0, 0.7]]

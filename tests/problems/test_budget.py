@@ -6,6 +6,7 @@ import json
 import jax
 import numpy as np
 import pytest
+import shapely
 
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
@@ -146,7 +147,6 @@ def test_a_region_needs_errors_by_step_and_points_of_the_grid():
 
 
 def test_the_errors_of_a_region_of_polygons_are_those_of_its_points_in_the_frame_of_the_area(tmp_path):
-    shapely = pytest.importorskip("shapely")
     corners = {
         "area": [[0, 0], [3, 0], [3, 2], [0, 2], [0, 0]],
         "part": [[1, 0.1], [2.9, 0.1], [1, 1.5], [1, 0.1]],

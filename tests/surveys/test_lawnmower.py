@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas.area import Area  # noqa: E402
-from bojax.areas.shapes import to_shape  # noqa: E402
-from bojax.areas.transfers import Transfers  # noqa: E402
-from bojax.surveys.lawnmower import Ground, cut, lawnmower, lawnmowers_within, length_of  # noqa: E402
-from bojax.surveys.polylines import driven_at, points_along  # noqa: E402
+from bojax.areas.area import Area
+from bojax.areas.shapes import to_shape
+from bojax.areas.transfers import Transfers
+from bojax.surveys.lawnmower import Ground, cut, lawnmower, lawnmowers_within, length_of
+from bojax.surveys.polylines import driven_at, points_along
 
 HOLE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
 SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)

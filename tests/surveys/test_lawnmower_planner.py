@@ -7,18 +7,17 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas.outlined import OutlinedArea  # noqa: E402
-from bojax.experiments.planning import PlanningEpisode  # noqa: E402
-from bojax.experiments.settings import Planning  # noqa: E402
-from bojax.planning.random import RandomPlanner  # noqa: E402
-from bojax.surveys.lawnmower_planner import Lawnmower  # noqa: E402
-from bojax.surveys.polylines import length_of  # noqa: E402
-from bojax.surveys.settings import Lawnmower as LawnmowerSettings  # noqa: E402
-from tests.arrays import f64  # noqa: E402
-from tests.planning.samples import field_belief, kernel_trajectories, monitoring, parking  # noqa: E402
+from bojax.areas.outlined import OutlinedArea
+from bojax.experiments.planning import PlanningEpisode
+from bojax.experiments.settings import Planning
+from bojax.planning.random import RandomPlanner
+from bojax.surveys.lawnmower_planner import Lawnmower
+from bojax.surveys.polylines import length_of
+from bojax.surveys.settings import Lawnmower as LawnmowerSettings
+from tests.arrays import f64
+from tests.planning.samples import field_belief, kernel_trajectories, monitoring, parking
 
 BORDER = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.4], [0.0, 2.4], [0.0, 0.0]]
 HOLE = [[1.0, 0.8], [1.8, 0.8], [1.8, 1.5], [1.0, 1.5], [1.0, 0.8]]

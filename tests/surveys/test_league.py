@@ -6,15 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from scipy.optimize import minimize
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas.shapes import to_shape  # noqa: E402
-from bojax.surveys.information import PointErrors  # noqa: E402
-from bojax.surveys.league import routes  # noqa: E402
-from bojax.surveys.league.cells import COVERING, GOALS, LENGTHS, Cell, cells_of  # noqa: E402
-from bojax.surveys.league.fields import (  # noqa: E402
+from bojax.areas.shapes import to_shape
+from bojax.surveys.information import PointErrors
+from bojax.surveys.league import routes
+from bojax.surveys.league.cells import COVERING, GOALS, LENGTHS, Cell, cells_of
+from bojax.surveys.league.fields import (
     LENGTHSCALE,
     MODEL,
     NOISE_VARIANCE,
@@ -24,8 +23,8 @@ from bojax.surveys.league.fields import (  # noqa: E402
     Field,
     league,
 )
-from bojax.surveys.league.rivals import corner_route  # noqa: E402
-from bojax.surveys.league.routes import (  # noqa: E402
+from bojax.surveys.league.rivals import corner_route
+from bojax.surveys.league.routes import (
     GRID,
     SPACING,
     adaptive_route,
@@ -35,11 +34,11 @@ from bojax.surveys.league.routes import (  # noqa: E402
     start_of,
     surveyed,
 )
-from bojax.surveys.league.scores import scores_of, threshold_of  # noqa: E402
-from bojax.surveys.mission import Mission  # noqa: E402
-from bojax.surveys.polylines import length_of, points_along  # noqa: E402
-from bojax.surveys.route import RouteOptions, spread_points  # noqa: E402
-from tests.reference.gaussian_process import GP, LinearMean, Scaled, Stationary, matern52  # noqa: E402
+from bojax.surveys.league.scores import scores_of, threshold_of
+from bojax.surveys.mission import Mission
+from bojax.surveys.polylines import length_of, points_along
+from bojax.surveys.route import RouteOptions, spread_points
+from tests.reference.gaussian_process import GP, LinearMean, Scaled, Stationary, matern52
 
 FIELD = Field("waves", SQUARE, lambda points: np.sin(points[:, 0]) + 0.1 * points[:, 1])
 PLACES = ("square", "coast", "new-guinea", "course")

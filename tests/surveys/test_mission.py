@@ -189,7 +189,6 @@ def test_a_used_budget_ends_the_mission():
 @pytest.mark.parametrize("goal", ["map", "hotspots"])
 @pytest.mark.parametrize("budget", [8.0, 9.8])
 def test_the_way_to_an_end_behind_a_wall_is_the_plan_of_a_short_budget(goal, budget):
-    pytest.importorskip("shapely")
     area = SQUARE.without([(np.array([[2.5, -1.0], [3.5, -1.0], [3.5, 5.0], [2.5, 5.0]]),)])
     survey = mission(area=area, end=[5.0, 1.0], goal=goal)
     survey.remaining = budget + 1e-3
@@ -293,7 +292,6 @@ def test_bad_input_is_one_line(change, message):
 
 
 def test_the_budget_must_reach_around_a_wall():
-    pytest.importorskip("shapely")
     area = SQUARE.without([(np.array([[2.5, -1.0], [3.5, -1.0], [3.5, 5.0], [2.5, 5.0]]),)])
     with pytest.raises(ValueError, match="budget: got 9.5 m, but the shortest way .* is 9.544 m long"):
         mission(area=area, budget=9.5, end=[5.0, 1.0])
@@ -365,7 +363,6 @@ def test_a_region_must_be_in_the_area():
 
 
 def test_a_mission_among_walls_has_a_plan_that_stays_inside_from_any_point_of_it():
-    pytest.importorskip("shapely")
     walls = [(4.0, 0.0, 5.0, 16.0), (12.0, 4.0, 13.0, 20.0)]
     boxes = [np.array([[x, y], [z, y], [z, w], [x, w]]) for x, y, z, w in walls]
     area = Area.rectangle(0.0, 0.0, 20.0, 20.0).without([(box,) for box in boxes])

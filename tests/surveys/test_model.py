@@ -6,14 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-pytest.importorskip("shapely")
-
-from bojax.areas.place import read_place  # noqa: E402
-from bojax.surveys import model  # noqa: E402
-from bojax.surveys.model import assumed_model, learned_model  # noqa: E402
-from tests.fields.test_raster_files import written  # noqa: E402
-from tests.reference.gaussian_process import Stationary, matern52  # noqa: E402
-from tests.refusals import one_line  # noqa: E402
+from bojax.areas.place import read_place
+from bojax.surveys import model
+from bojax.surveys.model import assumed_model, learned_model
+from tests.fields.test_raster_files import written
+from tests.reference.gaussian_process import Stationary, matern52
+from tests.refusals import one_line
 
 
 def test_hyper_parameters_of_a_sampled_field_are_recovered(tmp_path, monkeypatch):

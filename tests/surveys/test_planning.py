@@ -4,13 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-pytest.importorskip("shapely")
-
-from bojax.areas.area import Area  # noqa: E402
-from bojax.surveys import planning  # noqa: E402
-from bojax.surveys.model import assumed_model  # noqa: E402
-from bojax.surveys.planning import Demand, plan_survey  # noqa: E402
-from bojax.surveys.route import Route  # noqa: E402
+from bojax.areas.area import Area
+from bojax.surveys import planning
+from bojax.surveys.model import assumed_model
+from bojax.surveys.planning import Demand, plan_survey
+from bojax.surveys.route import Route
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,10 @@ from bojax.areas.area import Area
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.surveys.goals import Goal
+from bojax.surveys.lawnmower import Ground
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import stays_inside
-from bojax.surveys.search import NUM_SAMPLES, THINNING, Search, StraightLines
+from bojax.surveys.search import NUM_SAMPLES, THINNING, Search
 from tests.reference.gaussian_process import GP, LinearMean, Stationary, matern52
 
 SQUARE = Area.rectangle(0.0, 0.0, 10.0, 10.0)
@@ -36,8 +37,8 @@ SEEN = SQUARE.grid(2.5)
 VALUES = 2.0 * np.exp(-0.1 * np.sum((SEEN - PEAK) ** 2, axis=1))
 
 
-def search(goal, area=SQUARE, budget=12.0, end=None, ways=None, seed=0):
-    ways = StraightLines(area) if ways is None else ways
+def search(goal, area=SQUARE, budget=12.0, end=None, seed=0):
+    ways = Ground.of(area, START).transfers
     random = np.random.default_rng(seed)
     return Search(belief(SEEN, VALUES), area, budget, START, end, goal, spacing=0.2, ways=ways, random=random)
 
@@ -75,19 +76,10 @@ def test_an_earlier_plan_is_never_replaced_by_a_worse_one():
 
 
 def test_walls_budget_and_end_are_kept():
-    pytest.importorskip("shapely")
-    from bojax.surveys.lawnmower import Ground
-
     wall = np.array([[4.5, 1.0], [5.5, 1.0], [5.5, 10.0], [4.5, 10.0]])
     area, end = SQUARE.without([(wall,)]), np.array([1.0, 1.0])
-    route = search(Goal("hotspots"), area, 30.0, end, Ground.of(area, START).transfers).route().waypoints
+    route = search(Goal("hotspots"), area, 30.0, end).route().waypoints
     assert stays_inside(route, area)
     assert length_of(route) <= 30.0 * (1.0 + 1e-9)
     np.testing.assert_allclose(route[[0, -1]], [START, end], atol=1e-6)
     assert route[:, 0].max() > 6.0  # beyond the wall
-
-
-def test_without_shapely_lines_around_a_hole_are_left_out():
-    hole = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
-    area = SQUARE.without([(hole,)])
-    assert stays_inside(search(Goal("hotspots"), area, 20.0).route().waypoints, area)

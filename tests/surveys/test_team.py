@@ -1,20 +1,18 @@
 """Several robots: parts of equal size, a part for the nearest robot, and the distance between robots."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-
-from bojax.areas.area import Area  # noqa: E402
-from bojax.surveys.information import PointErrors, left_by, samples_along, samples_of_all  # noqa: E402
-from bojax.surveys.lawnmower import Ground  # noqa: E402
-from bojax.surveys.polylines import length_of  # noqa: E402
-from bojax.surveys.route import RouteOptions, plan_routes, stays_inside  # noqa: E402
-from bojax.surveys.team import least_distance, parts_of, split_points, team_lawnmowers  # noqa: E402
-from tests.surveys.test_route import belief  # noqa: E402
+from bojax.areas.area import Area
+from bojax.surveys.information import PointErrors, left_by, samples_along, samples_of_all
+from bojax.surveys.lawnmower import Ground
+from bojax.surveys.polylines import length_of
+from bojax.surveys.route import RouteOptions, plan_routes, stays_inside
+from bojax.surveys.team import least_distance, parts_of, split_points, team_lawnmowers
+from tests.surveys.test_route import belief
 
 HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
 POND = Area.rectangle(0.0, 0.0, 6.0, 6.0).without([(HOLE,)])

@@ -10,8 +10,6 @@ from bojax.surveys.team import keep_separation, least_distance
 from tests.compiling import COMPILATION, events_of_jax
 from tests.surveys.test_mission import SQUARE, assert_same_plan, drive, mission
 
-pytest.importorskip("shapely")
-
 SEPARATION = 0.6
 CORNERS = [[0.5, 0.5], [5.5, 0.5]]
 

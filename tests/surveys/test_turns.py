@@ -7,20 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 
-shapely = pytest.importorskip("shapely")
-
-from bojax.areas.area import Area  # noqa: E402
-from bojax.areas.shapes import to_shape  # noqa: E402
-from bojax.surveys.descent import Limits  # noqa: E402
-from bojax.surveys.lawnmower import DIRECTIONS, Ground, TurnsTooTight, lawnmower, lawnmowers_within  # noqa: E402
-from bojax.surveys.lawnmower import _order_apart as order_apart  # noqa: E402
-from bojax.surveys.mission import Mission  # noqa: E402
-from bojax.surveys.polylines import length_of, points_along, rest_of  # noqa: E402
-from bojax.surveys.route import RouteOptions  # noqa: E402
-from bojax.surveys.turns import drivable, least_radius, turned  # noqa: E402
-from tests.surveys.test_lawnmower import AREAS, SQUARE, apart, is_inside  # noqa: E402
-from tests.surveys.test_route import planned  # noqa: E402
+from bojax.areas.area import Area
+from bojax.areas.shapes import to_shape
+from bojax.surveys.descent import Limits
+from bojax.surveys.lawnmower import DIRECTIONS, Ground, TurnsTooTight, lawnmower, lawnmowers_within
+from bojax.surveys.lawnmower import _order_apart as order_apart
+from bojax.surveys.mission import Mission
+from bojax.surveys.polylines import length_of, points_along, rest_of
+from bojax.surveys.route import RouteOptions
+from bojax.surveys.turns import drivable, least_radius, turned
+from tests.surveys.test_lawnmower import AREAS, SQUARE, apart, is_inside
+from tests.surveys.test_route import planned
 
 
 def can_be_driven(route: np.ndarray, radius: float) -> bool:
