@@ -113,21 +113,22 @@ def plan_routes(
         options: Options of the optimiser.
 
     Raises:
-        ValueError: A number is out of range, an end or the target lies outside the area, the budget
-            does not reach from start to end, or no candidate stays in the area within the budget or keeps
-            the separation.
+        ValueError: The target lies outside the area, or no candidate stays in the area within the budget or
+            keeps the separation.
     """
     options = RouteOptions() if options is None else options
     dtype = posterior.y.dtype
-    starts = [_end("start", at, area) for at in starts]
-    ends = [_end("end", at, area) for at in ends]
+    starts, ends = (
+        [None if at is None else np.asarray(at, float) for at in points] for points in (starts, ends)
+    )
     budgets = np.broadcast_to(budget, len(starts)).tolist()
-    for own, start, end in zip(budgets, starts, ends, strict=True):
-        _check(own, spacing, start, end)
     key = jax.random.key(0) if key is None else key
     random = np.random.default_rng(np.asarray(jax.random.key_data(key)))
     given = {
-        name: [fitted(each, *limits) for each, *limits in zip(guess, budgets, starts, ends, strict=True)]
+        name: [
+            fitted(each, own, start, end)
+            for each, own, start, end in zip(guess, budgets, starts, ends, strict=True)
+        ]
         for name, guess in (first_guesses or {}).items()
     }
     points, scored = (counted_points(area, target, number) for number in (NUM_GRID, NUM_SCORED))
@@ -199,11 +200,7 @@ def samples_of_each(num_robots: int) -> int:
 def stays_inside(route: Waypoints, area: Area) -> bool:
     """Whether the points at every 1/500 of the area's size along a route, and its waypoints, lie inside."""
     number = 2 + int(length_of(route) / _extent(area) * 500)
-    return _are_inside(area, np.concatenate([route, with_waypoints(route, len(route) + number)]))
-
-
-def _are_inside(area: Area, points: Waypoints) -> bool:
-    """Whether all points are in the area or, but for rounding, on its border."""
+    points = np.concatenate([route, with_waypoints(route, len(route) + number)])
     outside = points[~area.contains(points)]  # distances take longer where a border has many edges
     return bool(np.all(area.distances(outside) >= -ROUNDING * _extent(area)))
 
@@ -325,26 +322,3 @@ def _extent(area: Area) -> float:
     """The longer side of the area's bounds, m."""
     x_min, y_min, x_max, y_max = area.bounds
     return max(x_max - x_min, y_max - y_min)
-
-
-def _end(name: str, at: Any, area: Area) -> Waypoints | None:
-    if at is None:
-        return None
-    point = np.asarray(at, float)
-    if point.shape != (2,) or not np.isfinite(point).all():
-        raise ValueError(f"{name}: got {at}; allowed: x and y in metres")
-    if not _are_inside(area, point[None]):
-        raise ValueError(f"{name}: ({point[0]:g}, {point[1]:g}) lies outside the area, or in a hole of it")
-    return point
-
-
-def _check(budget: float, spacing: float, start: Waypoints | None, end: Waypoints | None) -> None:
-    for name, value in (("budget", budget), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name}: got {value:g}; allowed: > 0 m")
-    if spacing > budget:
-        raise ValueError(f"spacing: got {spacing:g}; allowed: at most the budget, {budget:g} m")
-    if start is not None and end is not None:
-        least = float(np.linalg.norm(end - start))
-        if budget < least:
-            raise ValueError(f"budget: got {budget:g} m; allowed: at least {least:g}, from start to end")
