@@ -17,7 +17,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.lawnmower import MOST_LINES, Ground, too_small
 from bojax.surveys.measurements import LEAST_DATA, MOST_EXACT, Measurements
-from bojax.surveys.mission_file import SETTINGS, SavedMission, read_mission, write_mission
+from bojax.surveys.mission_file import read_mission, write_mission
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.robot import Robot
@@ -426,9 +426,7 @@ class Mission:
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
-        settings = {name: getattr(self, name) for name in SETTINGS}
-        state = self.area, self.robots, self.options, self.goal, self.counts, self.measured
-        write_mission(SavedMission(*state, settings), Path(path))
+        write_mission(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> "Mission":
@@ -438,11 +436,10 @@ class Mission:
             ValueError: The file is not one.
             FileNotFoundError: There is no such file.
         """
-        saved = read_mission(path)
+        arguments, attributes = read_mission(path)
         mission = cls.__new__(cls)  # unlike a new one, it may have left the area or used its budget
-        mission._prepare(saved.area, saved.robots, saved.options)
-        mission.goal, mission.counts, mission.measured = saved.goal, saved.counts, saved.measured
-        for name, value in saved.settings.items():
+        mission._prepare(*arguments)
+        for name, value in attributes.items():
             setattr(mission, name, value)
         return mission
 

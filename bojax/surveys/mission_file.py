@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections import Counter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from bojax.surveys.robot import Robot
 from bojax.surveys.route import Route, RouteOptions
 from bojax.surveys.validation import positions
 
+if TYPE_CHECKING:
+    from bojax.surveys.mission import Mission
+
 SETTINGS = ("spacing", "relearn_every", "seed", "separation", "_plans")
 """Attributes of a mission that are saved as JSON."""
 
@@ -24,21 +27,9 @@ _OF_MEASUREMENTS = ("hyperparameters", "medians", "shift", "scale", "learned_at"
 """Attributes of its measurements; except for the first, their names in a file begin with an underscore."""
 
 
-class SavedMission(NamedTuple):
-    """The content of a file of a mission."""
-
-    area: Area
-    robots: list[Robot]
-    options: RouteOptions
-    goal: Goal
-    counts: Counter[str]
-    measured: Measurements
-    settings: dict[str, Any]  # values of `SETTINGS`; files of earlier versions lack some
-
-
-def write_mission(mission: SavedMission, path: Path) -> None:
+def write_mission(mission: "Mission", path: Path) -> None:
     """Write a mission to a file, which is replaced at once or not at all."""
-    plain: dict[str, Any] = dict(mission.settings)
+    plain: dict[str, Any] = {name: getattr(mission, name) for name in SETTINGS}
     plain |= {_in_file(name): getattr(mission.measured, name) for name in _OF_MEASUREMENTS}
     plain["remaining"], plain["_time"] = zip(
         *((robot.remaining, robot.time) for robot in mission.robots), strict=True
@@ -61,8 +52,10 @@ def write_mission(mission: SavedMission, path: Path) -> None:
     write_arrays(path, {"plain": np.asarray(json.dumps(plain)), **arrays})
 
 
-def read_mission(path: str | Path) -> SavedMission:
-    """The mission that a file holds.
+def read_mission(path: str | Path) -> tuple[tuple[Area, list[Robot], RouteOptions], dict[str, Any]]:
+    """The mission that a file holds: the arguments of `Mission._prepare`, and attributes by name.
+
+    Files of earlier versions lack some of `SETTINGS`.
 
     Raises:
         ValueError: The file is not one that `write_mission` wrote.
@@ -97,9 +90,9 @@ def read_mission(path: str | Path) -> SavedMission:
                 setattr(measured, name, plain[_in_file(name)])
         measured.medians = tuple(plain["_medians"])
         measured.restore(data["x"], data["y"])
-        goal, counts = Goal(kind, threshold, region), Counter[str](plain["counts"])
-        settings = {name: plain[name] for name in SETTINGS if name in plain}
-        return SavedMission(area, robots, RouteOptions(**options), goal, counts, measured, settings)
+        attributes = {name: plain[name] for name in SETTINGS if name in plain}
+        attributes |= {"goal": Goal(kind, threshold, region), "counts": Counter[str](plain["counts"])}
+        return (area, robots, RouteOptions(**options)), {**attributes, "measured": measured}
     except FileNotFoundError:
         raise
     except Exception as error:
