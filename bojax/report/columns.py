@@ -1,6 +1,7 @@
 """Reads tables and snapshots of a results folder as arrays."""
 
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections import UserDict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,53 +18,30 @@ class NoColumn(ResultsError):
     """A table lacks a column; the message names it."""
 
 
-class Columns(MutableMapping[str, NDArray[Any]]):
+class Columns(UserDict[str, Any]):
     """A table as one array per column; a null is NaN in a column of numbers and None elsewhere.
 
     Columns of Arrow become arrays when they are asked for: a table of 10^8 episodes has columns of text that
     few readers need, and others are needed for some points alone.
     """
 
-    def __init__(self, columns: Mapping[str, NDArray[Any] | pa.ChunkedArray] | None = None):
-        self._columns = dict(columns or {})
-
     @override
     def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._columns:
+        if name not in self.data:
             raise NoColumn(f"the results have no column {name}{did_you_mean(name, self)}")
-        values = self._columns[name]
+        values = self.data[name]
         if not isinstance(values, np.ndarray):
             is_key = name in ("point", "run", "episode", "step")
-            values = self._columns[name] = (values.cast(pa.int64()) if is_key else values).to_numpy()
+            values = self.data[name] = (values.cast(pa.int64()) if is_key else values).to_numpy()
         return values
-
-    @override
-    def __setitem__(self, name: str, values: NDArray[Any]) -> None:
-        self._columns[name] = values
-
-    @override
-    def __delitem__(self, name: str) -> None:
-        del self._columns[name]
-
-    @override
-    def __contains__(self, name: object) -> bool:
-        return name in self._columns
 
     @override
     def get(self, key: str, default: Any = None) -> Any:
         return self[key] if key in self else default
 
-    @override
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    @override
-    def __len__(self) -> int:
-        return len(self._columns)
-
     def rows(self, parts: Sequence[slice]) -> "Columns":
         """The rows of some slices, one after the other; a single one is a view."""
-        return Columns({name: _rows(values, parts) for name, values in self._columns.items()})
+        return Columns({name: _rows(values, parts) for name, values in self.data.items()})
 
 
 def _rows(values: NDArray[Any] | pa.ChunkedArray, parts: Sequence[slice]) -> NDArray[Any] | pa.ChunkedArray:
