@@ -120,7 +120,7 @@ MISTAKES = (
         "labl,run,x,value\na,0,1,2\n",
         'unknown column "labl"; allowed: label, run, task, value, x; did you mean "label"?',
     ),
-    ("label,run,x,x,value\n", 'two columns are called "x"; allowed: one'),
+    ("label,run,x,x,value\na,0,1,1,2\n", 'two columns are called "x"; allowed: one'),
     (GOOD + "b,0,3\n", "line 6: got 3 cells; allowed: 4, as in the header"),
     (GOOD + "b,0,3,nan\n", 'line 6: value: got "nan"; allowed: a finite number'),
     (GOOD + "b,0,3,-inf\n", 'line 6: value: got "-inf"; allowed: a finite number'),

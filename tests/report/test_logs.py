@@ -9,8 +9,7 @@ import pytest
 
 from bojax.report.comparing.build import compare
 from bojax.report.comparing.logs.grouping import rows_of
-from bojax.report.comparing.logs.names import label_and_run
-from bojax.report.comparing.logs.opening import opened
+from bojax.report.comparing.logs.opening import label_and_run, opened
 from tests.report.synthetic import write_learning
 from tests.report.test_report import Page
 from tests.transcript import cases

@@ -1,7 +1,5 @@
 """Curves of other libraries from CSV files: one row per value, checked with one-line errors."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ from pydantic import Field
 
 from bojax.config.errors import ConfigError, allowed_names, dotted, from_validation, shown
 from bojax.config.limits import TEXT, read_within
+from bojax.report.comparing.logs.text_tables import TextTable, table_of
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 
@@ -48,10 +47,10 @@ def read_curves(path: Path) -> list[Rows]:
         ResultsError: The file cannot be read, a column is missing or unknown, a cell is empty or no number,
             or two rows have the same label, run and x; one line.
     """
-    try:
-        return _parsed(path, csv.reader(io.StringIO(text_of(path), newline=""), strict=True))
-    except csv.Error as error:
-        raise ResultsError(f"{path}: cannot be read ({error}); allowed: CSV") from None
+    text = text_of(path)
+    if not text.strip():
+        raise ResultsError(f"{path}: is empty; allowed: the columns {', '.join(COLUMNS)} and rows")
+    return _parsed(table_of(path, text))
 
 
 def text_of(path: Path) -> str:
@@ -71,20 +70,16 @@ def text_of(path: Path) -> str:
         raise ResultsError(f"{path}: cannot be read: {reason}") from None
 
 
-def _parsed(path: Path, lines) -> list[Rows]:
-    header = [name.strip() for name in next(lines, [])]
-    if not header:
-        raise ResultsError(f"{path}: is empty; allowed: the columns {', '.join(COLUMNS)} and rows")
-    _check_header(path, header)
+def _parsed(table: TextTable) -> list[Rows]:
+    header = table.header
+    _check_header(table.path, header)
     cells: dict[tuple[str, str], dict[int, dict[float, float]]] = {}
-    for line in lines:
-        if not line:
-            continue
-        place = f"{path}: line {lines.line_num}"
-        if len(line) != len(header):
-            raise ResultsError(f"{place}: got {len(line)} cells; allowed: {len(header)}, as in the header")
+    for line, texts in table.rows:
+        place = f"{table.path}: line {line}"
+        if len(texts) != len(header):
+            raise ResultsError(f"{place}: got {len(texts)} cells; allowed: {len(header)}, as in the header")
         try:
-            row = _Row.model_validate(dict(zip(header, map(str.strip, line), strict=True)))
+            row = _Row.model_validate(dict(zip(header, map(str.strip, texts), strict=True)))
         except pydantic.ValidationError as error:
             raise ResultsError(
                 str(from_validation(error, lambda at, place=place: f"{place}: {dotted(at)}"))
@@ -95,8 +90,6 @@ def _parsed(path: Path, lines) -> list[Rows]:
                 f"{place}: x: got {row.x:g} of run {row.run} of {row.label} twice; allowed: once"
             )
         values[row.x] = row.value
-    if not cells:
-        raise ResultsError(f"{path}: has no rows; allowed: at least one below the header")
     return [
         Rows(label, task, {run: tuple(np.array(sorted(runs[run].items())).T) for run in sorted(runs)})
         for (label, task), runs in cells.items()
