@@ -19,12 +19,10 @@ from bojax.config.errors import listed
 from bojax.config.sweep_file import published_name
 from bojax.report.explanations import AtHand
 from bojax.report.findings import cause_of, evaluate
-from bojax.report.manifest import ClaimEntry, Unread, validated
+from bojax.report.manifest import ClaimEntry, Unread
 from bojax.report.source import Results, load
-from bojax.report.verdicts import CLAIMS, TestedClaim
+from bojax.report.verdicts import CLAIMS, TestedClaim, read_claims
 from bojax.results.store import MANIFEST, ResultsError, read_json
-
-_FOUND = ("method", "comparisons", "chosen", "reason")  # keys of a test in `claims.json` that are no settings
 
 
 def collected(folders: Iterable[Path]) -> list[tuple[AtHand, int]]:
@@ -64,27 +62,26 @@ def _judged(results: Results, sweep: config.Sweep) -> tuple[AtHand, int]:
     claims = [ClaimEntry.model_validate(claim.model_dump(mode="json")) for claim in sweep.claims]
     now = {"name": sweep.name, "title": sweep.title, "claims": claims, "changed": _changed(results, sweep)}
     results = replace(results, manifest=results.manifest.model_copy(update=now))
-    path, kept = results.folder / CLAIMS, 0
-    written = read_json(path) if path.is_file() else []
-    validated(list[TestedClaim], written, str(path))
-    entries, known = evaluate(results), {entry["id"]: entry for entry in written}
-    for entry, claim in zip(entries, sweep.claims, strict=True):
-        entry["changed"] = _changed(results, sweep, claim.test)
+    written = read_claims(results.folder) if (results.folder / CLAIMS).is_file() else []
+    known, entries, kept = {entry.id: entry for entry in written}, [], 0
+    for entry, claim in zip(evaluate(results), sweep.claims, strict=True):
+        entry = entry.model_copy(update={"changed": _changed(results, sweep, claim.test)})
         # What cannot be decided from these results, their report may have decided, by the same test.
-        found = known.get(claim.id) if "reason" in entry["test"] else None
-        if found and "reason" not in found["test"] and _test_of(found) == claim.test:
-            entry |= {key: found[key] for key in ("ours", "interval", "runs", "verdict", "test")}
-            entry |= {"cause": cause_of(results, entry)}
+        found = known.get(claim.id) if entry.test.reason else None
+        if found and not found.test.reason and _test_of(found) == claim.test:
+            decided = {key: getattr(found, key) for key in ("ours", "interval", "runs", "verdict", "test")}
+            entry = entry.model_copy(update=decided)
+            entry = entry.model_copy(update={"cause": cause_of(results, entry)})
             kept += 1
-    return AtHand(results, validated(list[TestedClaim], entries, str(path))), kept
+        entries.append(entry)
+    return AtHand(results, entries), kept
 
 
-def _test_of(entry: dict[str, Any]) -> Test | None:
+def _test_of(entry: TestedClaim) -> Test | None:
     """The settings of the test of an entry of `claims.json`; None of a test that this version refuses."""
-    settings = {key: value for key, value in entry["test"].items() if key not in _FOUND}
-    known = {key: entry[key] for key in ("id", "source", "claim", "thesis")}
+    known = {key: getattr(entry, key) for key in ("id", "source", "claim", "thesis")}
     try:
-        return Claim.model_validate({**known, "test": settings}).test
+        return Claim.model_validate({**known, "test": entry.test.settings}).test
     except pydantic.ValidationError:
         return None
 

@@ -8,10 +8,11 @@ from bojax.claims.samples import bootstrap, enough, most_present, named
 from bojax.claims.settings import Growth
 from bojax.report import growth as laws
 from bojax.report import statistics
-from bojax.report.findings import Comparison, Finding, Undecidable, Verdict
+from bojax.report.findings import Comparison, Finding, Undecidable
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted, percent
+from bojax.report.verdicts import Verdict
 
 MIN_NUMBERS = 4  # smallest number of means: two coefficients fit two means exactly and three nearly
 

@@ -76,8 +76,8 @@ def _warn_of_untested(entries: "Mapping[int, Sequence[Entry]]") -> None:
     reasons: dict[str, list[str]] = {}
     for configuration in entries.values():
         for claim, _, entry in configuration:
-            if reason := entry["test"].get("reason"):
-                reasons.setdefault(claim.id, []).append(reason)
+            if entry.test.reason:
+                reasons.setdefault(claim.id, []).append(entry.test.reason)
     for name, found in reasons.items():
         say(f"warning: {name} is not tested in {len(found)} of {len(entries)} configurations: {found[0]}")
 

@@ -17,6 +17,7 @@ from bojax.report.page import render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, ranking_gaps, thesis_gaps
 from bojax.report.text import counted, joined
+from bojax.report.verdicts import CLAIMS
 from bojax.results.store import ResultsError, explained, write_content
 from bojax.text import error_line
 
@@ -41,8 +42,9 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
         for suffix in ("png", "svg"):
             with explained(path := folder / style.FIGURES / f"{name}.{suffix}"):
                 path.unlink(missing_ok=True)
-    text = json.dumps(claims, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_content(folder / "claims.json", text)
+    entries = [claim.model_dump(mode="json", by_alias=True) for claim in claims]
+    text = json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_content(folder / CLAIMS, text)
     write_content(folder / "report.html", page)
     return folder / "report.html"
 

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from bojax.config.references import Mean, OfClaim, Reference, matching, pieces
 from bojax.report import statistics
 from bojax.report.budgets import interval_of_times
-from bojax.report.findings import FailureCause
 from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results
 from bojax.report.text import MISSING, joined
-from bojax.report.verdicts import TestedClaim, claims_among
+from bojax.report.verdicts import FailureCause, TestedClaim, claims_among
 from bojax.results.store import ResultsError
 
 CAUSES: dict[FailureCause, str] = {

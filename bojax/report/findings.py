@@ -9,23 +9,17 @@ import importlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
-from typing import Any, Literal
 
 import numpy as np
 
-from bojax.config.claims import Cause, Claim, Test
+from bojax.config.claims import Claim, Test
 from bojax.report import statistics
 from bojax.report.columns import NoColumn
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
+from bojax.report.verdicts import ComparisonEntry, FailureCause, TestedClaim, Verdict
 from bojax.results.store import ResultsError
 from bojax.text import error_line
-
-Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
-
-FailureCause = Cause | Literal["untested"]
-"""Why a claim is not reproduced, or inconclusive: the cause of the explanation that names it. Without one, it
-is untested if the results have too few runs or lack a table, and otherwise unexplained."""
 
 
 @dataclass(frozen=True)
@@ -88,19 +82,19 @@ class Undecidable(Exception):
     """The data do not allow a test; the message says why."""
 
 
-def evaluate(results: Results) -> list[dict[str, Any]]:
+def evaluate(results: Results) -> list[TestedClaim]:
     """The entries of `claims.json`, one per claim of the sweep, in its order."""
     entries = [_entry(results, claim) for claim in results.claims]
-    return [{**entry, "cause": cause_of(results, entry)} for entry in entries]
+    return [entry.model_copy(update={"cause": cause_of(results, entry)}) for entry in entries]
 
 
-def cause_of(results: Results, entry: Mapping[str, Any]) -> FailureCause | None:
+def cause_of(results: Results, entry: TestedClaim) -> FailureCause | None:
     """The cause of the verdict of an entry of `claims.json`; none of a reproduced claim."""
     causes: dict[str, FailureCause] = {
         name: each.cause for each in results.explanations for name in each.claims
     }
-    rest: FailureCause = "untested" if "reason" in entry["test"] else "unexplained"
-    return None if entry["verdict"] == "reproduced" else causes.get(entry["id"], rest)
+    rest: FailureCause = "untested" if entry.test.reason else "unexplained"
+    return None if entry.verdict == "reproduced" else causes.get(entry.id, rest)
 
 
 def decide(results: Results, test: Test) -> Finding:
@@ -112,15 +106,14 @@ def decide(results: Results, test: Test) -> Finding:
         raise Undecidable(str(error)) from None
 
 
-def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
+def _entry(results: Results, claim: Claim | Unread) -> TestedClaim:
     is_read = isinstance(claim, Claim)
     settings = claim.model_dump(mode="json") if is_read else claim.mapping
     test = claim.test.model_dump(mode="json", exclude_none=True) if is_read else settings.get("test") or {}
-    entry: dict[str, Any] = {key: settings.get(key) for key in ("id", "source", "claim")}
-    entry |= {"class": settings.get("class", "claim"), "cause": None}
-    entry |= {"own_bound": settings.get("own_bound", False), "thesis": settings.get("thesis")}
-    entry |= {"ours": None, "interval": None, "runs": 0, "verdict": "inconclusive"}
-    entry |= {"share": None, "configurations": None, "changed": dict(results.manifest.changed)}
+    known = {key: settings.get(key) for key in ("id", "source", "claim", "own_bound", "thesis")}
+    known |= {"class": settings.get("class", "claim"), "changed": results.manifest.changed, "test": test}
+    undecided = {"ours": None, "interval": None, "runs": 0, "verdict": "inconclusive"}
+    entry = TestedClaim.model_validate({**known, **undecided})
     try:
         if isinstance(claim, Unread):
             raise Undecidable(claim.reason)
@@ -132,25 +125,22 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
         raise
     except Exception as error:  # a failed test must not cost the other verdicts
         reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {error_line(error)}"
-        return {**entry, "test": {**test, "reason": reason}}
+        return entry.model_copy(update={"test": entry.test.model_copy(update={"reason": reason})})
     comparisons = [
-        {"of": each.of, "estimate": _rounded(estimate), "interval": [_rounded(low), _rounded(high)]}
+        ComparisonEntry(of=each.of, estimate=estimate, interval=[low, high])
         for each in finding.comparisons
-        for estimate, low, high in [astuple(each.interval)]
+        for estimate, low, high in [map(_rounded, astuple(each.interval))]
     ]
-    return {
-        **entry,
-        "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),
-        "interval": comparisons[finding.comparisons.index(finding.decisive)]["interval"],
-        "runs": finding.runs,
-        "verdict": finding.verdict,
-        "test": {
-            **test,
-            "method": finding.method,
-            "comparisons": comparisons,
-            "chosen": dict(finding.chosen),
-        },
-    }
+    found = {"method": finding.method, "comparisons": comparisons, "chosen": dict(finding.chosen)}
+    return entry.model_copy(
+        update={
+            "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),
+            "interval": comparisons[finding.comparisons.index(finding.decisive)].interval,
+            "runs": finding.runs,
+            "verdict": finding.verdict,
+            "test": entry.test.model_copy(update=found),
+        }
+    )
 
 
 def _rounded(value: float) -> float:

@@ -1,7 +1,6 @@
 """The page: fills the template with the texts, tables and figures of a report."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
@@ -16,13 +15,12 @@ from bojax.report.verdicts import TestedClaim, tally
 
 
 def render(
-    results: Results, claims: Sequence[Mapping[str, Any]], drawings: Sequence[Drawing], notes: Sequence[str]
+    results: Results, claims: Sequence[TestedClaim], drawings: Sequence[Drawing], notes: Sequence[str]
 ) -> str:
     """The whole page, with the entries of `claims.json` and with notes on what is missing.
 
     The first of the drawings is the reproduced figure.
     """
-    tested = [TestedClaim.model_validate(claim) for claim in claims]
     counts = [results.runs_of(point)["run"].size for point in results.points]
     most = max(counts)
     groups = f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
@@ -32,10 +30,10 @@ def render(
         "report.html.j2",
         title=results.manifest.title,
         summary=summary(results),
-        counts=tally(tested),
+        counts=tally(claims),
         changed=results.manifest.changes,
-        claims=tested,
-        explanations=explanations_of(AtHand(results, tested), {}),
+        claims=claims,
+        explanations=explanations_of(AtHand(results, claims), {}),
         plates=drawings,
         ranked=tables.ranked(results),
         outcomes=tables.outcomes(results),

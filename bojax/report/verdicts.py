@@ -1,21 +1,26 @@
-"""The entries of `claims.json` as pages and the terminal show them."""
+"""The entries of `claims.json`, and how pages and the terminal show them."""
 
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_serializer
 
-from bojax.config.claims import EntryClass
+from bojax.config.claims import Cause, EntryClass
 from bojax.config.errors import printable, say
-from bojax.report.findings import FailureCause, Verdict
 from bojax.report.manifest import Bounds, Count, Fraction, Recorded, validated
 from bojax.report.statistics import Interval
 from bojax.report.text import MISSING, counted, joined, percent, plain
 from bojax.results.store import read_json
 
 CLAIMS = "claims.json"
+
+Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
+
+FailureCause = Cause | Literal["untested"]
+"""Why a claim is not reproduced, or inconclusive: the cause of the explanation that names it. Without one, it
+is untested if the results have too few runs or lack a table, and otherwise unexplained."""
 
 MARKS: dict[Verdict, str] = {
     "reproduced": "\N{CHECK MARK}",
@@ -35,35 +40,39 @@ class ComparisonEntry(Recorded):
 class TestEntry(Recorded):
     """The test of a claim, with its method and comparisons, or with the reason why it was not possible."""
 
-    kind: Any = None
-    share: Any = None
-    column: Any = None
-    window: Any = None
-    to: Any = None
-    greater: Any = None
     method: str = ""
-    reason: str = ""
     comparisons: list[ComparisonEntry] = []
-    chosen: dict[str, str] = {}
+    chosen: dict[str, str] = {}  # the variant that represents each label with several variants
+    reason: str = ""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings of the test."""
+        return self.model_extra or {}
+
+    @model_serializer
+    def _written(self) -> dict[str, Any]:
+        found = ("reason",) if self.reason else ("method", "comparisons", "chosen")
+        return {**self.settings, **{name: getattr(self, name) for name in found}}
 
 
 class TestedClaim(Recorded):
     """An entry of a sweep with its verdict; the properties are texts for pages. Only claims are counted."""
 
     id: str
-    claim: str
     source: str | None
+    claim: str
     entry_class: EntryClass = Field(default="claim", alias="class")  # earlier versions had claims only
-    own_bound: bool = False
     cause: FailureCause | None = None  # none of a reproduced claim
+    own_bound: bool = False
     thesis: Any
-    changed: dict[str, Any]
     ours: float | str | None
     interval: Bounds | None
     runs: Count
     verdict: Verdict
     share: Fraction | None = None  # of the configurations of a multiverse in which the claim holds
     configurations: Count | None = None
+    changed: dict[str, Any]
     test: TestEntry
 
     @property
@@ -114,11 +123,12 @@ class TestedClaim(Recorded):
     @property
     def stand_ins(self) -> list[str]:
         """A sentence, without its full stop, for each label that one of several variants represents."""
-        test = self.test
-        extreme = "least" if test.kind == "order" and test.greater is None else "greatest"
+        test = self.test.settings
+        is_order = test.get("kind") == "order"
+        extreme = "least" if is_order and test.get("greater") is None else "greatest"
         # The same rule as in `stand_ins` of `bojax.claims.samples`.
-        is_own = test.kind == "order" or isinstance(test.window or test.to, dict)
-        column = test.column if is_own else "return"
+        is_own = is_order or isinstance(test.get("window") or test.get("to"), dict)
+        column = test.get("column") if is_own else "return"
         return [
             f"{label} is represented by {variant}, the variant with the {extreme} mean {column}"
             for label, variant in self.test.chosen.items()
@@ -135,7 +145,8 @@ class TestedClaim(Recorded):
 
     def _formatted(self, estimate: float, interval: Sequence[float]) -> tuple[str, str]:
         """An estimate and its interval; as percentages if the test is of a share."""
-        is_share = self.test.kind == "share" or self.test.share is not None
+        test = self.test.settings
+        is_share = test.get("kind") == "share" or test.get("share") is not None
         return Interval(estimate, *interval).in_words(as_percent=is_share)
 
 

@@ -31,10 +31,10 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def entries(folder):
-    return {entry["id"]: entry for entry in evaluate(load(folder))}
+    return {entry.id: entry for entry in evaluate(load(folder))}
 
 
-def judge(folder, test) -> dict:
+def judge(folder, test) -> verdicts.TestedClaim:
     """The entry of one claim with this test on the results of a folder."""
     results = load(folder)
     claim = ClaimEntry(id="x", source="s", claim="c", test=test)
@@ -42,21 +42,22 @@ def judge(folder, test) -> dict:
 
 
 def test_verdicts_of_clear_cases(entries):
-    assert {key: entry["verdict"] for key, entry in entries.items()} == EXPECTED
+    assert {key: entry.verdict for key, entry in entries.items()} == EXPECTED
 
 
 def test_entries_hold_the_keys_of_the_results_format(entries):
     keys = (
         "id source claim class cause own_bound thesis ours interval runs verdict share configurations changed"
     )
-    assert all([*entry] == [*keys.split(), "test"] for entry in entries.values())
-    json.dumps(list(entries.values()), allow_nan=False)
+    written = [entry.model_dump(mode="json", by_alias=True) for entry in entries.values()]
+    assert all([*entry] == [*keys.split(), "test"] for entry in written)
+    json.dumps(written, allow_nan=False)
 
 
 def test_the_best_variant_stands_for_a_label(entries):
-    assert entries["order-holds"]["test"]["chosen"] == {"sbo": "sbo-9"}
+    assert entries["order-holds"].test.chosen == {"sbo": "sbo-9"}
     # 9 of 20 runs of sbo-9 park, 5 of 20 of sbo-5.
-    assert entries["share-open"]["ours"] == pytest.approx(0.45)
+    assert entries["share-open"].ours == pytest.approx(0.45)
 
 
 def test_the_page_says_by_what_a_variant_was_chosen(entries):
@@ -66,7 +67,8 @@ def test_the_page_says_by_what_a_variant_was_chosen(entries):
         ("share-open", {}, "greatest mean return"),
         ("share-open", {"window": {"from": 1, "to": 3}, "column": "length"}, "greatest mean length"),
     ):
-        entry = {**entries[id], "test": {**entries[id]["test"], **test}}
+        entry = entries[id].model_dump(by_alias=True)
+        entry["test"] |= test
         (sentence,) = verdicts.TestedClaim.model_validate(entry).stand_ins
         assert sentence == f"sbo is represented by sbo-9, the variant with the {words}"
 
@@ -76,16 +78,16 @@ def test_a_variant_can_be_named_itself(folder):
         folder,
         {"kind": "share", "by": "variant", "label": "sbo-5", "column": "success", "above": 0.0},
     )
-    assert entry["ours"] == pytest.approx(0.25)
-    assert entry["verdict"] == "reproduced"
+    assert entry.ours == pytest.approx(0.25)
+    assert entry.verdict == "reproduced"
 
 
 def test_settings_that_do_not_differ_leave_an_order_open(folder):
     entry = judge(
         folder, {"kind": "order", "by": "variant", "column": "seed", "greater": ["kcbts", "random"]}
     )
-    assert entry["verdict"] == "inconclusive"
-    assert entry["interval"] == [0.0, 0.0]
+    assert entry.verdict == "inconclusive"
+    assert entry.interval == [0.0, 0.0]
 
 
 def test_a_trend_may_leave_out_runs_that_have_ended(folder):
@@ -94,9 +96,9 @@ def test_a_trend_may_leave_out_runs_that_have_ended(folder):
     rows = pq.read_table(folder / "steps.parquet").to_pylist()
     values = [(row["step"], row["accumulated_reward"]) for row in rows if row["label"] == "kcbts"]
     later = np.mean([value for step, value in values if 4 < step <= 14])
-    assert entry["ours"] == pytest.approx(later - np.mean([value for step, value in values if step == 4]))
-    low, high = entry["interval"]
-    assert low < entry["ours"] < high and entry["runs"] == 40
+    assert entry.ours == pytest.approx(later - np.mean([value for step, value in values if step == 4]))
+    low, high = entry.interval
+    assert low < entry.ours < high and entry.runs == 40
 
 
 def test_what_cannot_be_tested_is_inconclusive_and_says_why(folder):
@@ -118,15 +120,15 @@ def test_what_cannot_be_tested_is_inconclusive_and_says_why(folder):
         ({"kind": "order", "greater": ["sbo", "random"]}, "column"),
     ):
         entry = judge(folder, test)
-        assert entry["verdict"] == "inconclusive"
-        assert entry["ours"] is None and entry["interval"] is None
-        assert reason in entry["test"]["reason"]
+        assert entry.verdict == "inconclusive"
+        assert entry.ours is None and entry.interval is None
+        assert reason in entry.test.reason
 
 
 def test_too_few_runs_decide_nothing(tmp_path):
     entries = evaluate(load(write_results(tmp_path / "few", runs=MIN_RUNS - 1)))
-    assert {entry["verdict"] for entry in entries} == {"inconclusive"}
-    assert f"at least {MIN_RUNS}" in entries[0]["test"]["reason"]
+    assert {entry.verdict for entry in entries} == {"inconclusive"}
+    assert f"at least {MIN_RUNS}" in entries[0].test.reason
 
 
 def test_booleans_that_hold_in_all_runs_have_an_interval_in_every_test(tmp_path):
@@ -150,9 +152,9 @@ def test_booleans_that_hold_in_all_runs_have_an_interval_in_every_test(tmp_path)
     ]
     for test, bounds, verdict in cases:
         entry = judge(copy, {**names, **test})
-        assert entry["interval"] == pytest.approx(bounds), test
-        assert verdict in (None, entry["verdict"]), test
-        assert ("Wilson" if test["kind"] == "mean" else "Newcombe") in entry["test"]["method"]
+        assert entry.interval == pytest.approx(bounds), test
+        assert verdict in (None, entry.verdict), test
+        assert ("Wilson" if test["kind"] == "mean" else "Newcombe") in entry.test.method
 
 
 def test_orders_of_shares_allow_for_a_share_of_a_lead(folder):
@@ -162,7 +164,7 @@ def test_orders_of_shares_allow_for_a_share_of_a_lead(folder):
     points = {point.variant: point for point in load(folder).points}
     flags = load(folder).paired([points[name] for name in ("sbo-9", "kcbts", "random")], "success")
     found = statistics.paired_shares(flags, [1.0, -0.5, -0.5])
-    assert entry["interval"] == pytest.approx([found.low, found.high], rel=1e-9)
+    assert entry.interval == pytest.approx([found.low, found.high], rel=1e-9)
 
 
 @pytest.mark.parametrize(("runs", "method"), [(40, "Student's t"), (60, "percentile bootstrap")])
@@ -172,19 +174,19 @@ def test_orders_of_means_say_which_interval_they_have(tmp_path, runs, method):
     points = {point.label: point for point in load(folder).points}
     ours, theirs = load(folder).paired([points["kcbts"], points["random"]], "return").T
     expected = statistics.mean_interval(ours - theirs)
-    assert entry["interval"] == pytest.approx([expected.low, expected.high])
-    assert method in entry["test"]["method"]
+    assert entry.interval == pytest.approx([expected.low, expected.high])
+    assert method in entry.test.method
 
 
 def test_a_nan_is_a_reason_not_a_number(folder):
     results = load(folder)
     results.runs["return"] = np.where(np.arange(results.runs["return"].size) == 3, np.nan, 1.0)
     entry = evaluate(results)[0]
-    assert entry["verdict"] == "inconclusive"
-    assert "1 run of kcbts without a finite return" in entry["test"]["reason"]
+    assert entry.verdict == "inconclusive"
+    assert "1 run of kcbts without a finite return" in entry.test.reason
 
 
 def test_claims_as_a_sweep_writes_them_give_the_verdict_of_the_file(folder):
     for claim in CLAIMS:
         written = schemas.Claim.model_validate(claim).model_dump(mode="json")
-        assert judge(folder, written["test"])["verdict"] == EXPECTED[claim["id"]]
+        assert judge(folder, written["test"]).verdict == EXPECTED[claim["id"]]

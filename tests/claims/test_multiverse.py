@@ -14,7 +14,7 @@ from bojax.claims.multiverse.page import write_page
 from bojax.cli import multiverse
 from bojax.cli.main import main
 from bojax.config.errors import ConfigError
-from bojax.report import statistics
+from bojax.report import statistics, verdicts
 from bojax.results.store import ResultsError
 from tests.compiling import IS_CPU
 from tests.report.synthetic import edit_manifest, write_results
@@ -216,6 +216,11 @@ def claim(name: str, verdicts: str, thesis=None, ours=None, **others) -> ClaimOu
     )
 
 
+def entry_with(verdict: verdicts.Verdict) -> verdicts.TestedClaim:
+    test = verdicts.TestEntry()
+    return verdicts.TestedClaim.model_construct(test=test, interval=None, ours=None, verdict=verdict)
+
+
 def universe(*claims: ClaimOutcomes) -> Multiverse:
     choices = {
         "rate": {"says": "", "source": "", "values": [1, 2]},
@@ -240,7 +245,7 @@ def test_the_best_configuration_has_most_claims_and_is_then_nearest_to_the_print
 
 def test_variants_in_a_file_of_an_earlier_version_end_where_it_goes_on(paper):
     made = universe(claim("a", "rrr"), claim("b", "nnn", entry_class="variant"))
-    entry = {"test": {}, "interval": None, "ours": None, "verdict": "not reproduced"}
+    entry = entry_with("not reproduced")
     begun = made.model_copy(update={"done": [0, 1, 2]})
     found = outcomes.extended(begun, declared(str(paper)), {3: [(claim("a", "r"), "own", entry)]})
     assert [(each.id, each.verdicts) for each in found.claims] == [("a", "rrrn")]
@@ -361,10 +366,9 @@ def test_fresh_seeds_are_judged_with_holm_s_correction(paper, monkeypatch):
     def evaluated(declaration, folders, numbers):
         tail = statistics.tail_in_use()
         looked.append(round(2 * tail, 6))
-        entry = {"test": {}, "interval": None, "ours": None}
-        verdicts = {name: "reproduced" if p < 2 * tail else "inconclusive" for name, p in p_values.items()}
+        found = {name: "reproduced" if p < 2 * tail else "inconclusive" for name, p in p_values.items()}
         made = {name: claim(name, "r") for name in p_values}
-        return {numbers[0]: [(made[name], "own", {**entry, "verdict": verdicts[name]}) for name in p_values]}
+        return {numbers[0]: [(made[name], "own", entry_with(found[name])) for name in p_values]}
 
     monkeypatch.setattr(outcomes, "evaluated", evaluated)
     declaration = declared(str(paper))

@@ -371,4 +371,4 @@ def test_success_within_steps_needs_runs_that_end_at_success():
         claims=[claim],
     )
     (entry,) = evaluate(walled)
-    assert entry["verdict"] == OPEN and "continues after its success" in entry["test"]["reason"]
+    assert entry.verdict == OPEN and "continues after its success" in entry.test.reason

@@ -25,7 +25,7 @@ def results(folder, text="Because."):
 def at_hand(folder):
     """Results with their claims."""
     found = load(folder)
-    return AtHand(found, [verdicts.TestedClaim.model_validate(entry) for entry in evaluate(found)])
+    return AtHand(found, evaluate(found))
 
 
 @pytest.fixture(scope="module")

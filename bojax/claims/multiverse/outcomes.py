@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from bojax.claims.multiverse.declaration import AXIS, Declaration
 from bojax.config.claims import Claim, EntryClass
 from bojax.report import statistics
-from bojax.report.findings import Verdict, evaluate
+from bojax.report.findings import evaluate
 from bojax.report.manifest import Count, Recorded, validated
 from bojax.report.source import Results, load
-from bojax.report.verdicts import TestedClaim
+from bojax.report.verdicts import TestedClaim, Verdict
 from bojax.results.store import ResultsError, make_folder, read_json, write_json
 
 FILE = "multiverse.json"
@@ -204,7 +204,7 @@ def write(folder: Path, multiverse: Multiverse) -> None:
     write_json(folder / FILE, multiverse.model_dump(mode="json"), indent=None)
 
 
-Entry = tuple[Claim, str, dict[str, Any]]
+Entry = tuple[Claim, str, TestedClaim]
 """A claim, its sweep, and its entry of `claims.json`."""
 
 
@@ -313,13 +313,12 @@ Row = tuple[str, list[float | None]]
 """The code of a claim in a configuration; its estimate, the bounds of its interval, and `ours`."""
 
 
-def _row(entry: Mapping[str, Any]) -> Row:
-    comparisons = entry["test"].get("comparisons") or []
-    interval, ours = entry["interval"], entry["ours"]
-    decisive = next((each["estimate"] for each in comparisons if each["interval"] == interval), None)
-    low, high = interval or (None, None)
-    code = FAILED if "reason" in entry["test"] else CODES[entry["verdict"]]
-    printed = ours if isinstance(ours, int | float) else None
+def _row(entry: TestedClaim) -> Row:
+    comparisons = entry.test.comparisons
+    decisive = next((each.estimate for each in comparisons if each.interval == entry.interval), None)
+    low, high = entry.interval or (None, None)
+    code = FAILED if entry.test.reason else CODES[entry.verdict]
+    printed = entry.ours if isinstance(entry.ours, int | float) else None
     numbers = [None if each is None else float(f"{each:.6g}") for each in (decisive, low, high, printed)]
     return code, numbers
 
