@@ -33,7 +33,7 @@ _ROW = 0.16
 
 def shares(multiverse: Multiverse) -> Drawing:
     """A bar for each claim: the shares of its verdicts over all configurations."""
-    claims = multiverse.counted
+    claims = multiverse.claims
     figure, grid = style.figure(0.9 + 0.24 * len(claims))
     axes = grid[0, 0]
     for row, claim in enumerate(claims):
@@ -71,7 +71,7 @@ def count_curve(multiverse: Multiverse) -> Drawing:
     if 0 in multiverse.done:
         own = int(np.flatnonzero(order == multiverse.done.index(0))[0])
         curve.plot([own], [holding[order[own]]], "o", color=style.ORANGE, markersize=5, clip_on=False)
-    curve.set_ylim(0, max(1, len(multiverse.counted)))
+    curve.set_ylim(0, max(1, len(multiverse.claims)))
     curve.set_ylabel("claims that hold")
     curve.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     style.quiet_grid(curve)
@@ -79,7 +79,7 @@ def count_curve(multiverse: Multiverse) -> Drawing:
     return Drawing(
         figure=figure,
         title="Claims that hold together",
-        caption=f"Number of the {counted(len(multiverse.counted), 'claim')} that hold in each configuration, "
+        caption=f"Number of the {counted(len(multiverse.claims), 'claim')} that hold in each configuration, "
         "the best first; the dot is the configuration of the sweep itself. Below, a mark for the value of "
         "each choice.",
         alt="Specification curve of the number of claims that hold, with the values of the choices below.",
@@ -128,7 +128,7 @@ def claim_curve(multiverse: Multiverse, claim: ClaimOutcomes) -> Drawing | None:
 
 def effect_map(multiverse: Multiverse) -> Drawing:
     """For each claim and choice, the difference between the shares of its best and its worst value."""
-    claims, choices = multiverse.counted, list(multiverse.declaration["choices"])
+    claims, choices = multiverse.claims, list(multiverse.declaration["choices"])
     table = np.full((len(claims), len(choices)), np.nan)
     for row, claim in enumerate(claims):
         for name, intervals in effects(multiverse, claim).items():

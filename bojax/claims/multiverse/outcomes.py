@@ -35,7 +35,7 @@ class ClaimOutcomes(Recorded):
 
     id: str
     sweep: str
-    entry_class: EntryClass = "claim"
+    entry_class: EntryClass = "claim"  # files of earlier versions have variants and checks too
     own_bound: bool = False
     source: str | None = None
     claim: str
@@ -101,11 +101,6 @@ class Multiverse(Recorded):
         """The value of each choice in the evaluated configurations, `[configurations, choices]`."""
         return np.asarray(self.configurations, np.int64)[self.done]
 
-    @property
-    def counted(self) -> list[ClaimOutcomes]:
-        """The entries that are claims."""
-        return [claim for claim in self.claims if claim.entry_class == "claim"]
-
     def choices_of(self, claim: ClaimOutcomes) -> dict[str, Any]:
         """The choices that can change a claim, as declared, by name.
 
@@ -117,7 +112,7 @@ class Multiverse(Recorded):
 
     def holding(self) -> NDArray[np.int64]:
         """The number of claims that hold in each evaluated configuration."""
-        table = np.array([[code == "r" for code in claim.verdicts] for claim in self.counted])
+        table = np.array([[code == "r" for code in claim.verdicts] for claim in self.claims])
         return table.sum(axis=0) if table.size else np.zeros(len(self.done), np.int64)
 
 
@@ -143,6 +138,7 @@ def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
     if declaration is not None and not path.exists():
         return begin(declaration)
     found = validated(Multiverse, read_json(path), str(path))
+    found.claims = [claim for claim in found.claims if claim.entry_class == "claim"]
     if declaration is not None and found.declaration != begin(declaration).declaration:
         raise ResultsError(
             f"{path}: was made by another version of {declaration.name}; allowed: the declaration that the "
@@ -250,11 +246,10 @@ def extended(
     found: Mapping[int, Iterable[Entry]],
 ) -> Multiverse:
     """The outcomes, with further configurations added."""
-    # Files of earlier versions have variants and checks, which further configurations do not test.
-    by_id = {claim.id: claim for claim in multiverse.counted}
+    by_id = {claim.id: claim for claim in multiverse.claims}
     order = sorted({*multiverse.done, *found})
     rows: dict[str, dict[int, Row]] = {}
-    for claim in multiverse.counted:
+    for claim in multiverse.claims:
         numbers = zip(claim.estimates, claim.low, claim.high, claim.ours, strict=True)
         entries = zip(claim.verdicts, map(list, numbers), strict=True)
         rows[claim.id] = dict(zip(multiverse.done, entries, strict=True))
@@ -264,7 +259,6 @@ def extended(
                 by_id[claim.id] = ClaimOutcomes(
                     id=claim.id,
                     sweep=sweep,
-                    entry_class=claim.entry_class,
                     own_bound=claim.own_bound,
                     source=claim.source,
                     claim=claim.claim,
@@ -299,12 +293,11 @@ def confirmed(
             with statistics.at_tail(statistics.TAIL / max(1, total - rejected)):
                 entries = evaluated(declaration, folders, [number])[number]
             codes = {claim.id: _row(entry)[0] for claim, _, entry in entries}
-            counted = [claim.id for claim, _, _ in entries if claim.entry_class == "claim"]
-            holding = sum(codes[name] == CODES["reproduced"] for name in counted)
-            if total == len(counted) and holding in (rejected, total):
+            holding = sum(code == CODES["reproduced"] for code in codes.values())
+            if total == len(codes) and holding in (rejected, total):
                 break
             # The first look, at the usual level, only counts the claims.
-            rejected, total = (holding, total) if total == len(counted) else (0, len(counted))
+            rejected, total = (holding, total) if total == len(codes) else (0, len(codes))
         found[number] = codes
     return found
 
@@ -326,7 +319,7 @@ def _row(entry: TestedClaim) -> Row:
 def best_of(multiverse: Multiverse) -> int:
     """The configuration in which most claims hold; of several, the one nearest to the printed numbers."""
     holding = multiverse.holding()
-    distances = [distance(multiverse.counted, place) for place in range(len(multiverse.done))]
+    distances = [distance(multiverse.claims, place) for place in range(len(multiverse.done))]
     places = range(len(multiverse.done))
     best = min(places, key=lambda place: (-int(holding[place]), distances[place], place))
     return multiverse.done[best]

@@ -31,7 +31,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
             "effects": figures.effect_map(multiverse).encoded(),
         }
         curves = dict[str, Drawing]()
-        for number, claim in enumerate(multiverse.counted, 1):
+        for number, claim in enumerate(multiverse.claims, 1):
             if (drawing := figures.claim_curve(multiverse, claim)) is not None:
                 curves[f"claim-{number:03d}"] = drawing.encoded()
     make_folder(page.parent)
@@ -52,8 +52,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
         "reading": multiverse.reading,
         "drawings": drawings,
         "curves": curves,
-        "claims": [_row(multiverse, claim) for claim in multiverse.counted],
-        "others": [_row(multiverse, claim) for claim in multiverse.claims if claim.entry_class != "claim"],
+        "claims": [_row(multiverse, claim) for claim in multiverse.claims],
         "choices": _choices(multiverse),
         "best": _best(multiverse),
         "provenance": [
@@ -72,7 +71,7 @@ def write_page(multiverse: Multiverse, page: Path) -> Path:
 
 def summary_of(multiverse: Multiverse) -> str:
     """How many claims there are of each strength, as a sentence."""
-    claims, total = multiverse.counted, len(multiverse.configurations)
+    claims, total = multiverse.claims, len(multiverse.configurations)
     strengths = [claim.strength for claim in claims]
     kinds = joined(
         f"{strengths.count(kind)} {kind}" for kind in ("robust", "fragile", "contrary", "undecided")
@@ -91,7 +90,6 @@ def _row(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, Any]:
         "id": claim.id,
         "source": _source(multiverse, claim),
         "claim": claim.claim,
-        "entry_class": claim.entry_class,
         "own": "" if own is None else _WORDS[claim.verdicts[own]],
         "share": f"{share} {bounds}",
         "elsewhere": ", ".join(
@@ -142,7 +140,7 @@ def _best(multiverse: Multiverse) -> dict[str, Any] | None:
     """The best configuration beside the sweep's own; None until all configurations were evaluated."""
     if multiverse.best is None:
         return None
-    claims, holding = multiverse.counted, multiverse.holding()
+    claims, holding = multiverse.claims, multiverse.holding()
     place = multiverse.done.index(multiverse.best)
     choices, levels = multiverse.declaration["choices"].items(), multiverse.configurations[multiverse.best]
     differing = []
@@ -171,7 +169,7 @@ def _tied(multiverse: Multiverse, place: int) -> dict[str, Any]:
     holding = multiverse.holding()
     places = [other for other, count in enumerate(holding) if count == holding[place]]
     some = []
-    for claim in multiverse.counted:
+    for claim in multiverse.claims:
         count = sum(claim.verdicts[each] == CODES["reproduced"] for each in places)
         if 0 < count < len(places):
             some.append((claim.claim, _source(multiverse, claim), f"{count} of {len(places)}"))
