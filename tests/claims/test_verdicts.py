@@ -53,13 +53,6 @@ def judge(results, test):
     return decide(results, registry["test"][test["kind"]].model_validate(test))
 
 
-def seldom_decided(make, test, monkeypatch, confirmed=0.07, refuted=0.07, times=150):
-    """Data on the bound of a test are decided about as often as an interval of 95% is wrong on that side."""
-    monkeypatch.setattr(statistics, "bootstrap_means", partial(statistics.bootstrap_means, resamples=1000))
-    count = Counter(judge(make(seed), test).verdict for seed in range(times))
-    assert count[YES] / times < confirmed and count[NO] / times < refuted, count
-
-
 class TestLatency:
     """Times with known ranges: of `b` they overlap with those of `c`."""
 
@@ -192,23 +185,6 @@ class TestOrder:
             assert finding.verdict == OPEN
             assert finding.decisive.interval.low <= 0 < finding.decisive.interval.high
 
-    def test_on_the_bound_nothing_is_decided(self, monkeypatch):
-        def alike(seed):
-            random = np.random.default_rng(seed)
-            differing = random.binomial(60, 0.1)
-            return flags(60, first := random.binomial(differing, 0.5), differing - first)
-
-        def behind(seed):
-            return normal({"a": -0.5, "b": 0.0}, runs=60, seed=seed)
-
-        def equal(seed):
-            return normal(dict.fromkeys("abc", 0.0), runs=60, seed=seed)
-
-        greater = {**ORDER, "greater": ["a", "b"]}
-        seldom_decided(alike, greater, monkeypatch)
-        seldom_decided(behind, {**greater, "margin": 0.5}, monkeypatch)
-        seldom_decided(equal, {**ORDER, "greater": ["a", ["b", "c"]]}, monkeypatch, 0.05, 0.08)
-
 
 class TestRatio:
     def test_it_is_the_interval_that_has_to_lie_within_the_tolerance(self):
@@ -244,8 +220,13 @@ class TestRatio:
             with pytest.raises(Undecidable, match="not clearly positive"):
                 judge(normal(means, runs=50), test)
 
-    def test_a_ratio_on_the_bound_is_seldom_decided(self, monkeypatch):
-        seldom_decided(lambda seed: normal({"a": 15.0, "b": 10.0}, runs=60, seed=seed), RATIO, monkeypatch)
+
+def columns(means, runs=200, seed=0):
+    """Columns of a point with these means."""
+    random = np.random.default_rng(seed)
+    shared = random.normal(size=runs)
+    named = zip(("first", "second", "third"), means, strict=True)
+    return in_memory({"a": {name: mean + shared + random.normal(size=runs) for name, mean in named}})
 
 
 class TestMeans:
@@ -253,42 +234,25 @@ class TestMeans:
 
     TEST = {"kind": "mean", "label": "a", "column": "first", "also": ["second", "third"], "above": 0.0}
 
-    def results(self, means, runs=200, seed=0):
-        random = np.random.default_rng(seed)
-        shared = random.normal(size=runs)
-        names = ("first", "second", "third")
-        columns = {
-            name: mean + shared + random.normal(size=runs) for name, mean in zip(names, means, strict=True)
-        }
-        return in_memory({"a": columns})
-
     def test_all_have_to_exceed_it_and_one_that_does_not_decides(self):
         for last, verdict in ((1.0, YES), (0.0, OPEN), (-1.0, NO)):
-            finding = judge(self.results((1.0, 1.0, last)), self.TEST)
+            finding = judge(columns((1.0, 1.0, last)), self.TEST)
             assert finding.verdict == verdict
             assert [each.of for each in finding.comparisons] == ["first of a", "second of a", "third of a"]
             assert finding.decisive.of == ("third of a" if verdict != YES else finding.decisive.of)
             # The threshold moves with the means, and the other side has the other verdict.
             moved = {**self.TEST, "above": 5.0}
-            assert judge(self.results((6.0, 6.0, last + 5.0)), moved).verdict == verdict
+            assert judge(columns((6.0, 6.0, last + 5.0)), moved).verdict == verdict
         below = {key: value for key, value in self.TEST.items() if key != "above"} | {"below": 0.0}
-        assert judge(self.results((-1.0, -1.0, -1.0)), below).verdict == YES
-        assert judge(self.results((-1.0, -1.0, 1.0)), below).verdict == NO
+        assert judge(columns((-1.0, -1.0, -1.0)), below).verdict == YES
+        assert judge(columns((-1.0, -1.0, 1.0)), below).verdict == NO
 
     def test_the_mean_of_the_least_of_them_is_another_statistic(self):
         """With noise larger than the means, the least of three is below 0 in most runs and on average."""
-        results = self.results((0.5, 0.5, 0.5), runs=400)
+        results = columns((0.5, 0.5, 0.5), runs=400)
         least = np.min([results.runs[name] for name in ("first", "second", "third")], axis=0)
         assert least.mean() < -0.1
         assert judge(results, self.TEST).verdict == YES
-
-    def test_where_all_means_are_on_the_threshold_it_is_seldom_refuted(self, monkeypatch):
-        """Holm's correction holds over the three means: none is below 0."""
-
-        def on_the_threshold(seed):
-            return self.results((0.0, 0.0, 0.0), runs=60, seed=seed)
-
-        seldom_decided(on_the_threshold, self.TEST, monkeypatch, 0.05, 0.07)
 
     def test_shares_are_refused(self):
         results = in_memory({"a": {name: np.ones(40, dtype=bool) for name in ("first", "second", "third")}})
@@ -333,23 +297,50 @@ class TestSimilar:
             [found.estimate, found.low, found.high], [expected.estimate, expected.low, expected.high]
         )
 
-    def test_on_the_bound_nothing_is_decided(self, monkeypatch):
-        def apart(seed):
-            return normal({"a": 12.0, "b": 10.0}, runs=60, seed=seed)
-
-        seldom_decided(apart, {**ALIKE, "labels": ["a", "b"]}, monkeypatch)
-        gap, test = partial(curves, 1.0, runs=60), {**SIMILAR, "spread_at": 10}
-        seldom_decided(lambda seed: gap(seed=seed), test, monkeypatch, 0.05, 0.1)
-
     def test_a_step_that_no_run_reached_is_a_reason(self):
         with pytest.raises(Undecidable, match="the longest took 10"):
             judge(curves(0.0), {**SIMILAR, "step": 11})
+
+
+def alike(runs, seed):
+    """Two equal shares."""
+    random = np.random.default_rng(seed)
+    differing = random.binomial(runs, 0.1)
+    return flags(runs, first := random.binomial(differing, 0.5), differing - first)
+
+
+GREATER = {**ORDER, "greater": ["a", "b"]}
+OF_A = {"label": "a", "column": "value"}
+
+
+@pytest.mark.parametrize(
+    ("make", "test", "confirmed", "refuted"),
+    [
+        (alike, GREATER, 0.07, 0.07),
+        (partial(normal, {"a": -0.5, "b": 0.0}), {**GREATER, "margin": 0.5}, 0.07, 0.07),
+        (partial(normal, dict.fromkeys("abc", 0.0)), {**ORDER, "greater": ["a", ["b", "c"]]}, 0.05, 0.08),
+        (partial(normal, {"a": 15.0, "b": 10.0}), RATIO, 0.07, 0.07),
+        # Holm's correction holds over the three means: none is below 0.
+        (partial(columns, (0.0, 0.0, 0.0)), TestMeans.TEST, 0.05, 0.07),
+        (partial(normal, {"a": 12.0, "b": 10.0}), {**ALIKE, "labels": ["a", "b"]}, 0.07, 0.07),
+        (partial(curves, 1.0), {**SIMILAR, "spread_at": 10}, 0.05, 0.1),
+        (partial(normal, {"a": 3.0}), {"kind": "mean", **OF_A, "above": 3.0}, 0.07, 0.07),
+    ],
+)
+def test_on_the_bound_little_is_decided(make, test, confirmed, refuted, monkeypatch):
+    """About as often as an interval of 95% is wrong on that side."""
+    monkeypatch.setattr(statistics, "bootstrap_means", partial(statistics.bootstrap_means, resamples=1000))
+    count = Counter(judge(make(runs=60, seed=seed), test).verdict for seed in range(150))
+    assert count[YES] / 150 < confirmed and count[NO] / 150 < refuted, count
 
 
 def test_too_few_runs_and_missing_columns_say_so():
     few = curves(0.0, runs=MIN_RUNS - 1)
     few.runs["value"][:] = 10.0
     for test in (
+        {"kind": "mean", "above": 0.0, **OF_A},
+        {"kind": "agrees", "mean": 1.0, "sd": 1.0, "runs": 20, **OF_A},
+        {"kind": "agrees", "share": 1.0, "runs": 20, **OF_A},
         {**ORDER, "less": ["a", "b"]},
         {**ORDER, "greater": ["a", ["b", "c"]], "margin": 1.0},
         RATIO,
