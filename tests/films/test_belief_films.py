@@ -1,10 +1,6 @@
 """Films and figures of state problems show the recorded states, step by step."""
 
-import json
-
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
@@ -17,36 +13,29 @@ from bojax.report.figures.particles import draw
 from bojax.report.source import load
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
+from tests.report.synthetic import write_folder
 
 STEPS, ROOM, DRAWN = 4, 6, 16
 
 
 def belief_results(folder, kind="light-dark", outline=None, recorded=True):
     """Two runs of one point: a state that moves by 1 a step, and a belief whose spread is halved."""
-    (folder / "arrays").mkdir(parents=True)
     size = 1 if kind == "light-dark" else 2
     spread = np.linspace(-1.0, 1.0, DRAWN)[:, None] * np.ones(size)
     rows = np.full((ROOM + 1, 1 + DRAWN, size), np.nan)
     for step in range(STEPS + 1):
         rows[step] = step + np.concatenate([np.zeros((1, size)), 3.0 * 0.5**step * spread])
-    for run in (0, 1) if recorded else ():
-        arrays = {"fixed": np.where(np.isnan(rows), np.nan, 2.0), "moving": rows}
-        np.savez(folder / "arrays" / f"0-{run}-sketch-end.npz", **arrays)
+    sketch = {"fixed": np.where(np.isnan(rows), np.nan, 2.0), "moving": rows}
+    arrays = {f"0-{run}-sketch": sketch for run in (0, 1) if recorded}
     common = {"point": 0, "label": "pomcpow"}
     runs = [common | {"run": run, "return": -4.0, "steps": STEPS} for run in (0, 1)]
     steps = [{"step": step + 1, "accumulated_reward": -1.5 * (step + 1)} for step in range(STEPS)]
-    pq.write_table(pa.Table.from_pylist(runs), folder / "runs.parquet")
-    pq.write_table(
-        pa.Table.from_pylist([common | {"run": run} | step for run in (0, 1) for step in steps]),
-        folder / "steps.parquet",
-    )
+    tables = {"runs": runs, "steps": [common | {"run": run} | step for run in (0, 1) for step in steps]}
     config = {"kind": "planning", "problem": {"kind": kind}, "planner": {"kind": "pomcpow"}}
     point = {"index": 0, "label": "pomcpow", "variant": "pomcpow", "swept": {}, "config": config}
     if outline is not None:
         point["outline"] = outline
-    manifest = {"name": "made-up", "status": "finished", "points": [point]}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    return folder
+    return write_folder(folder, tables, [point], arrays)
 
 
 @pytest.mark.parametrize("kind", ["light-dark", "vdp-tag"])

@@ -1,14 +1,11 @@
 """Animations are made from the files of a results folder alone; what cannot be shown is told in a line."""
 
-import json
 import shutil
 import subprocess
 import sys
 from math import cos, sin
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
@@ -24,7 +21,7 @@ from bojax.report.build import build_report
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
-from tests.report.synthetic import edit_manifest, write_learning
+from tests.report.synthetic import edit_manifest, write_folder, write_learning
 from tests.tiers import by_tier
 
 
@@ -49,7 +46,6 @@ def learning_results(
 
     Every step has the numbers of `frames` as what its animation needs, the first of them growing.
     """
-    folder.mkdir()
     steps, episodes, points = [], [], []
     schema = registry["env"].get(kind)
     settings = schema(**env).model_dump(mode="json") if schema else {"kind": kind}
@@ -72,12 +68,8 @@ def learning_results(
                     row |= {"action_1": cos(i)} if kind == "lunar-lander" else {}
                     steps.append(row | {"action_0": sin(i) + run})
     runs = [{"point": point, "run": run} for point in range(2) for run in (0, 1, 3)]
-    pq.write_table(pa.Table.from_pylist(runs), folder / "runs.parquet")
-    pq.write_table(pa.Table.from_pylist(steps), folder / "steps.parquet")
-    pq.write_table(pa.Table.from_pylist(episodes), folder / "episodes.parquet")
-    manifest = {"name": "made-up", "status": "finished", "points": points}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    return folder
+    tables = {"runs": runs, "steps": steps, "episodes": episodes}
+    return write_folder(folder, tables, points, {})
 
 
 @pytest.fixture(scope="module")

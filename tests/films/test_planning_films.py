@@ -1,12 +1,9 @@
 """Films of planners and of robots: what is drawn is what was recorded, on a screen or on none."""
 
-import json
 from contextlib import closing
 
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
@@ -22,7 +19,7 @@ from bojax.report.style import settings
 from bojax.results.store import ResultsError
 from tests.films.test_learning_films import frames as images_in
 from tests.films.test_learning_films import learning_results
-from tests.report.synthetic import edit_manifest, write_results
+from tests.report.synthetic import edit_manifest, write_folder, write_results
 
 STEPS, SAMPLES, ROOM = 4, 5, 6
 ARC = np.array([[0.2, 0.02, 0.2], [0.4, 0.08, 0.4], [0.6, 0.18, 0.6], [0.7, 0.26, 0.8], [0.8, 0.4, 1.0]])
@@ -35,7 +32,6 @@ def place(path, pose):
 
 def planning_results(folder, problem, *, belief=False, frames=None, success=True, nans=0):
     """Run 3 of point 0: the same arc again and again, of which the second stops halfway and turns round."""
-    (folder / "arrays").mkdir(parents=True)
     poses, rows, pose = [], [], np.array([3.0, 3.0, 0.3])
     start = pose
     for step in range(STEPS):
@@ -47,14 +43,14 @@ def planning_results(folder, problem, *, belief=False, frames=None, success=True
         row = {"step": step + 1, "accumulated_reward": -1.5 * (step + 1)}
         rows.append(row | dict(zip(("x", "y", "heading"), pose.tolist(), strict=True)))
     nothing = np.full((ROOM - STEPS, SAMPLES, 3), np.nan)
-    arrays = {
+    paths = {
         "paths": np.concatenate([poses, nothing]),
         "plans": np.concatenate([np.tile(ARC, (STEPS, 1, 1)), nothing]),
         "start": start,
     }
     if frames is not None:
-        arrays["frames"] = frames
-    np.savez(folder / "arrays" / "0-3-paths-end.npz", **arrays)
+        paths["frames"] = frames
+    arrays = {"0-3-paths": paths}
     if belief:
         grid = np.linspace(0.0, 6.0, 9)
         x, y = np.meshgrid(grid, grid)
@@ -64,16 +60,13 @@ def planning_results(folder, problem, *, belief=False, frames=None, success=True
             "means": (x + steps).astype(np.float32),
             "stds": (1.0 + x / (1.0 + steps)).astype(np.float32),
         }
-        np.savez(folder / "arrays" / "0-3-belief-end.npz", **maps)
+        arrays["0-3-belief"] = maps
     common = {"point": 0, "label": "kcbts", "run": 3}
     end = {"success": success, "exits": 1, "nans": nans, "return": -6.0, "steps": STEPS}
-    pq.write_table(pa.Table.from_pylist([common | end]), folder / "runs.parquet")
-    pq.write_table(pa.Table.from_pylist([common | row for row in rows]), folder / "steps.parquet")
+    tables = {"runs": [common | end], "steps": [common | row for row in rows]}
     config = {"kind": "planning", "problem": problem.model_dump(mode="json"), "planner": {"kind": "kcbts"}}
     points = [{"index": 0, "label": "kcbts", "variant": "kcbts", "swept": {}, "config": config}]
-    manifest = {"name": "made-up", "status": "finished", "points": points}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    return folder
+    return write_folder(folder, tables, points, arrays)
 
 
 def test_a_plan_lies_where_the_robot_stood_when_it_was_made(tmp_path):

@@ -46,11 +46,24 @@ CLAIMS = yaml.safe_load("""
 """)
 
 
+def write_folder(
+    folder: Path, tables: dict[str, list[dict]], points: list[dict], arrays: dict[str, dict], **manifest
+) -> Path:
+    """A results folder of these rows and snapshots, by name, whose manifest has these keys."""
+    (folder / "arrays").mkdir(parents=True)
+    for name, rows in tables.items():
+        pq.write_table(pa.Table.from_pylist(rows), folder / f"{name}.parquet")
+    for name, content in arrays.items():
+        np.savez(folder / "arrays" / f"{name}-end.npz", **content)
+    manifest = {"name": "made-up", "status": "finished", "points": points, **manifest}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
 def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: dict | None = None) -> Path:
     """Write the folder; every number follows from `BEHAVIOUR` and a fixed seed."""
-    (folder / "arrays").mkdir(parents=True)
     random = np.random.default_rng(7)
-    run_rows, step_rows, points = [], [], []
+    run_rows, step_rows, points, arrays = [], [], [], {}
     places = random.uniform(-3.5, 3.5, (2, runs))
     starts = np.stack([*places, random.uniform(0, 2 * np.pi, runs)], axis=1)
     for index, (variant, behaviour) in enumerate(BEHAVIOUR.items()):
@@ -73,21 +86,18 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
             if run < recorded:
                 paths = np.full((MAX_STEPS, SAMPLES, 3), np.nan)
                 paths[:length] = _drive(starts[run], length, parks, exits, random)
-                np.savez(folder / "arrays" / f"{index}-{run}-paths-end.npz", paths=paths, start=starts[run])
-    known = "point label variant planner run seed return success steps exits nans".split()
-    _table(folder / "runs.parquet", known, run_rows)
-    known = "point label run step reward accumulated_reward done".split()
-    _table(folder / "steps.parquet", known, step_rows)
+                arrays[f"{index}-{run}-paths"] = {"paths": paths, "start": starts[run]}
+    of_runs = "point label variant planner run seed return success steps exits nans"
+    of_steps = "point label run step reward accumulated_reward done"
+    tables = {"runs": _named(of_runs.split(), run_rows), "steps": _named(of_steps.split(), step_rows)}
     manifest = {
         "name": "parking",
         "title": "Robot parking (Fig. 4.6)",
-        "status": "finished",
         "written": "2026-01-02T10:01:35+0000",
         "command": "bojax sweep sweeps/parking.yaml --runs 40",
         "runs": runs,
         "seed": 0,
         "config_hash": "0123abcd",
-        "points": points,
         "report": {"notes": "Left open: <what> & why."} if report is None else report,
         "claims": CLAIMS,
         "versions": {"python": "3.11.2", "bojax": bojax.__version__, "jax": "0.10.2", "numpy": "2.4.6"},
@@ -109,7 +119,7 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
         ],
         "chunks": [{"chunk": 0, "status": "done", "error": None}],
     }
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    write_folder(folder, tables, points, arrays, **manifest)
     latency = {
         "config_hash": manifest["config_hash"],
         "device": {"kind": "cpu"},
@@ -135,10 +145,9 @@ def write_monitoring(
     folder: Path, *, runs: int = 30, recorded: int = 2, report: dict | None = None, **problem
 ) -> Path:
     """A robot that learns two bumps: 25 steps of 8 samples; SBO is stopped in step 3."""
-    (folder / "arrays").mkdir(parents=True)
     random = np.random.default_rng(5)
     shared = random.normal(size=runs)
-    run_rows, step_rows, points = [], [], []
+    run_rows, step_rows, points, arrays = [], [], [], {}
     for index, (variant, (label, error)) in enumerate(MONITORS.items()):
         config = {"kind": "planning", "problem": {**SPACE, **problem}, "planner": {"kind": label}}
         points.append({"index": index, "label": label, "variant": variant, "config": config})
@@ -153,15 +162,16 @@ def write_monitoring(
             step_rows += [(index, label, run, step + 1, total[step]) for step in range(25)]
             if run < recorded:
                 paths, start = _wander(label == "sbo"), np.asarray(SPACE["start"])
-                np.savez(folder / "arrays" / f"{index}-{run}-paths-end.npz", paths=paths, start=start)
-                np.savez(folder / "arrays" / f"{index}-{run}-belief-end.npz", **_belief(paths, error))  # pyright: ignore
+                arrays[f"{index}-{run}-paths"] = {"paths": paths, "start": start}
+                arrays[f"{index}-{run}-belief"] = _belief(paths, error)
     scores = ["rmse", "wrmse", "mnll", "collisions", "nans"]
     known = ["point", "label", "variant", "planner", "run", "seed", "return", "success", "steps", "exits"]
-    _table(folder / "runs.parquet", known + scores, run_rows)
-    _table(folder / "steps.parquet", ["point", "label", "run", "step", "accumulated_reward"], step_rows)
-    manifest = {"name": "space", "status": "finished", "runs": runs, "seed": 0, "points": points}
-    (folder / "manifest.json").write_text(json.dumps({**manifest, "report": report or {}, "claims": []}))
-    return folder
+    tables = {
+        "runs": _named(known + scores, run_rows),
+        "steps": _named(["point", "label", "run", "step", "accumulated_reward"], step_rows),
+    }
+    manifest = {"name": "space", "runs": runs, "seed": 0, "report": report or {}, "claims": []}
+    return write_folder(folder, tables, points, arrays, **manifest)
 
 
 def _wander(is_stopped: bool) -> np.ndarray:
@@ -211,8 +221,7 @@ def write_learning(
 
     Their return is then 1, else -1; with `lengths`, steps to the goal are the episode times the length.
     """
-    (folder / "arrays").mkdir(parents=True)
-    run_rows, episode_rows, step_rows, points = [], [], [], []
+    run_rows, episode_rows, step_rows, points, arrays = [], [], [], [], {}
     for learner, first in LEARNERS.items():
         for length in lengths or (0,):
             index = len(points)
@@ -239,24 +248,21 @@ def write_learning(
                     if run < recorded and episode <= 3:
                         step_rows += _swing(index, learner, run, episode, is_there)
                 if run < recorded:
-                    np.savez(folder / "arrays" / f"{index}-{run}-values-end.npz", **_value_maps())  # pyright: ignore
+                    arrays[f"{index}-{run}-values"] = _value_maps()
     keys = ["learner"] + (["env.length"] if lengths else [])
     scores = ["last_return", "success", "episodes", "steps", "episodes_to_goal", "steps_to_goal"]
     target = ["reached", "episodes_to_target", "return_after_target", "nans"]
-    _table(
-        folder / "runs.parquet",
-        ["point", "label", "variant", *keys, "run", "seed", *scores, *target],
-        run_rows,
-    )
-    columns = ["return", "length", "success", "terminated", "truncated", "kappa"]
-    _table(folder / "episodes.parquet", ["point", "label", "run", "episode", "phase", *columns], episode_rows)
-    columns = ["reward", "accumulated_reward", "observation_0", "observation_1"]
-    _table(folder / "steps.parquet", ["point", "label", "run", "episode", "step", *columns], step_rows)
-    manifest = {"name": "car", "status": "finished", "runs": runs, "seed": 0, "points": points}
-    manifest |= {"report": report or {}, "claims": claims or []}
+    of_runs = ["point", "label", "variant", *keys, "run", "seed", *scores, *target]
+    of_episodes = "point label run episode phase return length success terminated truncated kappa"
+    of_steps = "point label run episode step reward accumulated_reward observation_0 observation_1"
+    tables = {
+        "runs": _named(of_runs, run_rows),
+        "episodes": _named(of_episodes.split(), episode_rows),
+        "steps": _named(of_steps.split(), step_rows),
+    }
     group = {"group": 0, "points": [0], "run_seconds": 2.0, "active_steps": 5000}
-    (folder / "manifest.json").write_text(json.dumps({**manifest, "groups": [group]}))
-    return folder
+    manifest = {"name": "car", "runs": runs, "seed": 0, "report": report or {}, "claims": claims or []}
+    return write_folder(folder, tables, points, arrays, **manifest, groups=[group])
 
 
 def _swing(index: int, learner: str, run: int, episode: int, is_there: bool) -> list[tuple]:
@@ -400,6 +406,5 @@ def _drive(start, length, parks, exits, random) -> np.ndarray:
     return poses.reshape(length, SAMPLES, 3)
 
 
-def _table(path: Path, names: list[str], rows: list[tuple]) -> None:
-    columns = list(zip(*rows, strict=True))
-    pq.write_table(pa.table(dict(zip(names, [pa.array(column) for column in columns], strict=True))), path)
+def _named(names: list[str], rows: list[tuple]) -> list[dict]:
+    return [dict(zip(names, row, strict=True)) for row in rows]
