@@ -130,7 +130,6 @@ def _begin(parent: int) -> None:
     A pool whose process is killed is not told, and would wait for further reports forever. The main process
     may be killed while this one starts.
     """
-    for name in ("SIGINT", "SIGHUP", "SIGTERM"):
-        if hasattr(signal, name):  # Windows has no SIGHUP
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    stop_with_parent(parent, getattr(signal, "SIGKILL", signal.SIGTERM))
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    stop_with_parent(parent, signal.SIGKILL)

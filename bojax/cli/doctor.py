@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bojax import __version__
-from bojax.cli.parser import ON_WINDOWS, Parser
+from bojax.cli.parser import Parser
 from bojax.config.extras import OPTIONAL, how_to_install
 from bojax.errors import UserError
 from bojax.text import error_line
@@ -64,8 +64,6 @@ def examine(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
 def _python() -> Iterator[Finding]:
     yield Finding("ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
     yield Finding("ok", f"bojax {__version__}")
-    if platform.system() == "Windows":
-        raise Failure(f"running a sweep {ON_WINDOWS}")
 
 
 def _packages() -> Iterator[Finding]:

@@ -8,7 +8,6 @@ import gc
 import importlib
 import io
 import os
-import platform
 import signal
 import stat
 import sys
@@ -17,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO, cast
 
 from bojax import __version__, gpu_allocator
-from bojax.cli.parser import ON_WINDOWS, Parser, UsageError
+from bojax.cli.parser import Parser, UsageError
 from bojax.config.errors import control_character, did_you_mean, say, shown
 from bojax.errors import INPUT_ERROR, UserError
 
@@ -39,9 +38,6 @@ COMMANDS = {
     "doctor": ("doctor", "check versions, devices, precision and folders"),
 }
 """The module and the summary of each command."""
-
-_ANYWHERE = ("list", "report", "render", "doctor", "compare", "export", "survey", "status")
-"""Commands that do not lock a results folder."""
 
 _WRITING = ("run", "sweep", "reproduce", "tune")
 """Commands whose results are files, which they finish even if their output cannot be written."""
@@ -210,6 +206,8 @@ def dispatch(words: list[str]) -> int:
     Raises:
         UsageError: The command line is wrong; other errors of a user are those of the input.
     """
+    if sys.platform == "win32":  # has neither the locks of files nor the signals that sweeps need
+        raise UsageError("bojax runs on Linux and macOS; on Windows, use WSL")
     for word in words:
         if sign := control_character(word):
             raise UsageError(
@@ -226,8 +224,6 @@ def dispatch(words: list[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         allowed = ", ".join(sorted(COMMANDS))
         raise UsageError(f"unknown {kind} {name}; allowed: {allowed}{did_you_mean(name, COMMANDS)}")
-    if platform.system() == "Windows" and name not in _ANYWHERE:
-        raise UsageError(f"bojax {name}: {ON_WINDOWS}")
     try:
         os.getcwd()
     except OSError as error:

@@ -12,9 +12,6 @@ from bojax.config.errors import ConfigError, allowed_names, control_character, d
 from bojax.config.yaml_file import parse
 from bojax.errors import UserError
 
-ON_WINDOWS = "needs Linux or macOS, on Windows the Linux of WSL 2: see Installation in the documentation"
-"""Why sweeps do not run on Windows itself: results folders are locked by a POSIX call."""
-
 
 class UsageError(UserError):
     """An invalid command line."""

@@ -11,7 +11,7 @@ from bojax.cli.parser import Parser, at_least, path
 if TYPE_CHECKING:
     from bojax.engine.signals import StopRequest
 
-REQUEUE = getattr(signal, "SIGUSR2", signal.SIGTERM)  # Windows has neither SIGUSR2 nor Slurm
+REQUEUE = signal.SIGUSR2
 """The signal that Slurm sends when the time limit is near; the batch script requeues the task then."""
 
 _EXAMPLES = """\

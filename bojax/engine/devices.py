@@ -285,8 +285,6 @@ def why_not_private(folder: Path) -> str | None:
         found = folder.stat()
     except OSError as error:
         return error_line(error)
-    if not hasattr(os, "geteuid"):  # Windows, whose modes say nothing; a profile belongs to its user
-        return None
     if found.st_uid != os.geteuid():
         return "it belongs to another user"
     return "others can write to it" if found.st_mode & 0o022 else None

@@ -12,8 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-_HANGUP: signal.Signals | None = getattr(signal, "SIGHUP", None)  # Windows lacks it
-SIGNALS = (signal.SIGINT, signal.SIGTERM, *([_HANGUP] if _HANGUP else []))
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What stops a sweep: Ctrl-C, the system or a scheduler, and a terminal that is closed."""
 
 _ECHO_SECONDS = 0.2
@@ -94,7 +93,7 @@ class StopRequest:
         for number in sorted(self._signals, key=lambda number: number == signum) if self._exits else ():
             if number == signum == signal.SIGTERM:
                 time.sleep(_ECHO_SECONDS)
-            signal.signal(number, signal.SIG_IGN if number == _HANGUP else signal.SIG_DFL)
+            signal.signal(number, signal.SIG_IGN if number == signal.SIGHUP else signal.SIG_DFL)
 
     def _watch(self) -> None:
         with self._reader:
@@ -102,7 +101,7 @@ class StopRequest:
                 number = received[0]
                 if number not in self._signals:
                     continue
-                if self.signum is not None and number == _HANGUP:
+                if self.signum is not None and number == signal.SIGHUP:
                     continue
                 if self.signum is not None and self._exits:
                     os._exit(128 + number)

@@ -1,6 +1,7 @@
 """The results folder of a sweep: choosing, creating, locking and resuming it without overwriting results."""
 
 import contextlib
+import fcntl
 import os
 import secrets
 import shutil
@@ -205,8 +206,6 @@ class RunFolder:
             self._lock = None
 
     def _take_lock(self) -> None:
-        import fcntl  # Windows lacks it: sweeps are refused there, and other commands lock nothing
-
         with explained(self.work):
             self._lock = (self.work / _LOCK).open("a+")  # opening a pipe only for writing would block
             try:

@@ -53,9 +53,6 @@ class ResultsError(UserError):
     """An error in a results folder."""
 
 
-IS_POSIX = os.name == "posix"
-
-
 @contextmanager
 def explained(path: Path, action: str = "written") -> Iterator[None]:
     """Turn errors of the file system at `path` into a `ResultsError` with advice."""
@@ -93,11 +90,7 @@ def write_atomically(path: Path, write: Callable[[Path], Any], *, durably: bool 
 def sync(*paths: Path) -> None:
     """Sync files and the entries of folders to the disk, so that they survive a power failure."""
     for path in paths:
-        if not IS_POSIX and path.is_dir():  # Windows opens no folders
-            continue
-        descriptor = os.open(
-            path, os.O_RDONLY if IS_POSIX else os.O_RDWR
-        )  # Windows syncs what may be written
+        descriptor = os.open(path, os.O_RDONLY)
         try:
             os.fsync(descriptor)
         except OSError as error:
