@@ -1,6 +1,5 @@
 """Sinks: where the rows, snapshots, learners and checkpoints of a chunk go."""
 
-import abc
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -20,26 +19,34 @@ _COMMITS = ThreadPoolExecutor(16, "commit")
 """Threads that commit checkpoints while the devices go on; each waits for Orbax and for the disk."""
 
 
-class Sink(abc.ABC):
-    """Receives the rows, snapshots, learners and checkpoints of a chunk."""
+class Sink:
+    """Receives the rows, snapshots, learners and checkpoints of a chunk.
 
-    state: ChunkState  # the progress of the chunk, changed while it runs
-    # Number of recorded runs of each point, the first ones. Of these runs, snapshots and the rows of recorded
-    # tables are kept
-    recorded_runs: int
-    saved_learners: int  # number of runs of each point, the first ones, whose learners are kept
+    This class keeps everything in memory, except for checkpoints.
+    """
 
-    @abc.abstractmethod
+    def __init__(self, *, recorded_runs: int = 0, saved_learners: int = 0):
+        self.state = ChunkState()  # the progress of the chunk, changed while it runs
+        # Number of runs of each point, the first ones, of which snapshots and the rows of recorded tables are
+        # kept, and of those whose learners are kept
+        self.recorded_runs, self.saved_learners = recorded_runs, saved_learners
+        self.tables: dict[str, list[pa.Table]] = {}  # the pieces of each table
+        # Named arrays by point, run and name; states of learners by point and run
+        self.snapshots: dict[tuple[int, int, str], dict[str, np.ndarray]] = {}
+        self.learned: dict[tuple[int, int], PyTree] = {}
+
     def write_piece(self, tables: dict[str, pa.Table]) -> None:
         """Write the rows of a segment."""
+        for name, rows in tables.items():
+            self.tables.setdefault(name, []).append(rows)
 
-    @abc.abstractmethod
     def write_snapshot(self, point: int, run: int, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Write named arrays of a run that has ended."""
+        self.snapshots[point, run, name] = arrays
 
-    @abc.abstractmethod
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
         """Write the exported state of the learner of a run."""
+        self.learned[point, run] = learned
 
     def save(self, carry: Carry) -> None:
         """Save a checkpoint, possibly in the background; the carry may be given away at once."""
@@ -53,19 +60,18 @@ class Sink(abc.ABC):
         """The carry of the last checkpoint; None if there is none."""
         return None
 
-    @abc.abstractmethod
     def finish(self) -> None:
         """Note that the chunk is done."""
+        self.state.finish()
 
 
 class FolderSink(Sink):
     """Writes to the working folder of a chunk, which is open."""
 
     def __init__(self, files: ChunkFolder, record: Record):
-        self._files, self._learned = files, learners.Learned()
+        super().__init__(recorded_runs=record.runs, saved_learners=record.runs if record.learners else 0)
         self.state = files.state
-        self.recorded_runs = record.runs
-        self.saved_learners = record.runs if record.learners else 0
+        self._files, self._learned = files, learners.Learned()
         self._commit: Future[None] | None = None
 
     @override
@@ -117,32 +123,3 @@ class FolderSink(Sink):
             end()
         self.state.finish()
         self._files.commit()
-
-
-class MemorySink(Sink):
-    """Keeps everything in memory, except for checkpoints."""
-
-    def __init__(self, *, recorded_runs: int = 0, saved_learners: int = 0):
-        self.state = ChunkState()
-        self.recorded_runs, self.saved_learners = recorded_runs, saved_learners
-        self.tables: dict[str, list[pa.Table]] = {}  # the pieces of each table
-        # Named arrays by point, run and name; states of learners by point and run
-        self.snapshots: dict[tuple[int, int, str], dict[str, np.ndarray]] = {}
-        self.learned: dict[tuple[int, int], PyTree] = {}
-
-    @override
-    def write_piece(self, tables: dict[str, pa.Table]) -> None:
-        for name, rows in tables.items():
-            self.tables.setdefault(name, []).append(rows)
-
-    @override
-    def write_snapshot(self, point: int, run: int, name: str, arrays: dict[str, np.ndarray]) -> None:
-        self.snapshots[point, run, name] = arrays
-
-    @override
-    def write_learner(self, point: int, run: int, learned: PyTree) -> None:
-        self.learned[point, run] = learned
-
-    @override
-    def finish(self) -> None:
-        self.state.finish()

@@ -1,6 +1,5 @@
 """Where a process reads the state of its chunks and writes their rows: a results folder, or memory."""
 
-import abc
 import contextlib
 import os
 import secrets
@@ -17,7 +16,7 @@ from bojax.engine.chunks import Chunk
 from bojax.engine.errors import EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup
 from bojax.engine.plan import Plan
-from bojax.engine.sinks import FolderSink, MemorySink, Sink
+from bojax.engine.sinks import FolderSink, Sink
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.folder import Launch, RunFolder
@@ -25,19 +24,32 @@ from bojax.results.store import ResultsError, write_content
 from bojax.text import error_line
 
 
-class Storage(abc.ABC):
-    """Where the rows of the chunks of a process go. Its methods may be called from any thread."""
+class Storage:
+    """Where the rows of the chunks of a process go. Its methods may be called from any thread.
+
+    This class keeps the rows in memory, and writes no files.
+
+    Args:
+        new_sink: Makes a place for the rows of a chunk.
+    """
 
     # The choices of XLA that belong to the plan; None for a CPU, or if nothing is kept
     choices: Choices | None = None
 
-    @abc.abstractmethod
+    def __init__(self, new_sink: Callable[[], Sink] = Sink):
+        self.sinks: dict[int, Sink] = {}  # what the chunks have produced, by index
+        self.errors: list[BaseException] = []  # of chunks that failed
+        self._new_sink = new_sink
+
     def open(self, chunk: Chunk) -> Sink | None:
         """Open a sink for the rows of a chunk; None if the chunk is done or has failed.
 
         Raises:
             ResultsError: A file of the chunk cannot be read or written.
         """
+        if chunk.index not in self.sinks:
+            self.sinks[chunk.index] = self._new_sink()
+        return self.sinks[chunk.index]
 
     def close(self, chunk: Chunk, sink: Sink) -> None:
         """Note that a chunk is done, or has been paused at a checkpoint."""
@@ -47,43 +59,21 @@ class Storage(abc.ABC):
         """Note that this process gives up a chunk, after a requested stop or an error of its files."""
         return
 
-    @abc.abstractmethod
     def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
         """Note that chunks have failed, and return the reason in one line."""
+        self.errors.append(error)
+        return error_line(error)
 
     def note_compiled(self, group: StaticGroup, seconds: float) -> None:
         """Note the seconds of a compilation."""
         return
 
 
-class MemoryStorage(Storage):
-    """Keeps the rows in memory, and writes no files.
-
-    Args:
-        new_sink: Makes a place for the rows of a chunk.
-    """
-
-    def __init__(self, new_sink: Callable[[], MemorySink] = MemorySink):
-        self.sinks: dict[int, MemorySink] = {}  # what the chunks have produced, by index
-        self.errors: list[BaseException] = []  # of chunks that failed
-        self._new_sink = new_sink
-
-    @override
-    def open(self, chunk: Chunk) -> Sink:
-        if chunk.index not in self.sinks:
-            self.sinks[chunk.index] = self._new_sink()
-        return self.sinks[chunk.index]
-
-    @override
-    def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
-        self.errors.append(error)
-        return error_line(error)
-
-
 class FolderStorage(Storage):
     """Attempts at the chunks that a launch gave this process, in a results folder."""
 
     def __init__(self, plan: Plan, folder: RunFolder, launch: Launch, attempts: AttemptRegistry):
+        super().__init__()
         self.plan, self.folder, self._launch, self._attempts = plan, folder, launch, attempts
         if plan.device["platform"] != "cpu":
             self.choices = Choices(folder.choices)

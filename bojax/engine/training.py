@@ -25,8 +25,8 @@ from bojax.engine.groups import static_groups
 from bojax.engine.policies import Policy, check_seed
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
-from bojax.engine.sinks import MemorySink
-from bojax.engine.storage import MemoryStorage
+from bojax.engine.sinks import Sink
+from bojax.engine.storage import Storage
 from bojax.engine.tasks import GroupTask
 from bojax.envs.base import Env
 from bojax.experiments.learning import LearningRun
@@ -126,7 +126,7 @@ def train(
     )
 
 
-class _Sink(MemorySink):
+class _Sink(Sink):
     """Passes on the rows of each segment, which is one episode."""
 
     def __init__(self, saved_learners: int, callback: Callback, lock: threading.Lock):
@@ -140,18 +140,18 @@ class _Sink(MemorySink):
             self._callback(sort_rows(tables["episodes"].drop_columns("point")))
 
 
-def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | None) -> list[MemorySink]:
+def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | None) -> list[Sink]:
     """Run an experiment on the devices that suit it, and return what its chunks produced."""
     devices = suited(choose(find_devices("auto"), None))
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
     lock = threading.Lock()
 
-    def sink() -> MemorySink:
-        return MemorySink(saved_learners=runs) if callback is None else _Sink(runs, callback, lock)
+    def sink() -> Sink:
+        return Sink(saved_learners=runs) if callback is None else _Sink(runs, callback, lock)
 
     chunks = cut(group, range(runs), layout, [{}], {})
-    storage = MemoryStorage(sink)
+    storage = Storage(sink)
     task = GroupTask(
         group=group,
         experiment=experiment,

@@ -16,7 +16,7 @@ from bojax.engine.chunks import Layout, choose_layout, cut
 from bojax.engine.errors import Stopped
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
-from bojax.engine.sinks import FolderSink, MemorySink
+from bojax.engine.sinks import FolderSink, Sink
 from bojax.learning.settings import EMUQ, RFFQ, EMUQPublished
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import read_table
@@ -66,7 +66,7 @@ def run(runner: ChunkRunner) -> None:
 def run_in_memory(layout: Layout, limits: Limits = NEVER) -> tuple[dict[str, pa.Table], list]:
     parts, segments = {}, []
     for chunk in chunks_of(layout):
-        sink = MemorySink()
+        sink = Sink()
         run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, segments.append))
         assert sink.state.is_done and sink.state.next_run == chunk.num_runs
         for name, tables in sink.tables.items():
@@ -126,7 +126,7 @@ def rows_and_learners(group, experiment, layout: Layout) -> tuple[dict[str, np.n
             made[width] = Programs(functions, device, width, SEED, recorded=8, wider=wider)
         return made[width]
 
-    sink = MemorySink(recorded_runs=8, saved_learners=8)
+    sink = Sink(recorded_runs=8, saved_learners=8)
     run(ChunkRunner(chunk, experiment, compiled, sink, NEVER, lambda _: None))
     table = sort_rows(pa.concat_tables(sink.tables["runs"]))
     return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}, sink.learned
@@ -235,7 +235,7 @@ def test_a_chunk_of_few_runs_narrows_as_soon_as_it_may():
     layout = Layout(24, (24, 8), 3)
     chunk = replace(chunks_of(PLAIN)[0], layout=layout)
     few = replace(chunk, positions=chunk.positions[:4], points=chunk.points[:4], runs=chunk.runs[:4])
-    sink, often = MemorySink(), Limits(1e-9, float("inf"), bool)
+    sink, often = Sink(), Limits(1e-9, float("inf"), bool)
     run(ChunkRunner(few, MODULES[0], programs_of(layout), sink, often, lambda _: None))
     assert [lanes for lanes, _, _ in sink.state.segments[:4]] == [24, 24, 8, 8]
 
