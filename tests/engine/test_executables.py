@@ -133,7 +133,9 @@ def test_programs_that_jax_has_kept_are_not_written_again(cache):
 def test_the_hashes_of_a_plan_are_saved_with_the_programs(tmp_path, monkeypatch):
     key = key_of(group_of())
     folders = [RunFolder(tmp_path / name) for name in ("first", "second")]
-    for plan in (Choices(folder.choices) for folder in folders):
+    for folder in folders:
+        folder.work.mkdir(parents=True)
+        plan = Choices(folder.choices)
         Programs(batch.Functions(group_of()), DEVICE, 3, 0, recorded=0, choices=plan)
         monkeypatch.setattr(autotuning, "fingerprint", lambda _: pytest.fail("hashed again"))
     monkeypatch.undo()
