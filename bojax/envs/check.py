@@ -7,7 +7,7 @@ from jaxtyping import Array, DTypeLike, Float, Key
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.numerics.trial import Misfit, require, require_arrays, trial
+from bojax.numerics.trial import Misfit, require, require_arrays, require_state, trial
 
 
 def check_env(env: Env, dtype: DTypeLike) -> None:
@@ -43,10 +43,7 @@ def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None
     require("TimeStep.reward", step.reward, number)
     for name in ("terminated", "truncated", "success"):
         require(f"TimeStep.{name}", getattr(step, name), jnp.zeros((), bool))
-    if jax.tree.structure(state) != jax.tree.structure(after):
-        raise Misfit("the states of reset and step differ in structure")
-    for (path, leaf), other in zip(jax.tree.leaves_with_path(state), jax.tree.leaves(after), strict=True):
-        require(f"state{jax.tree_util.keystr(path)} of step", other, jnp.asarray(leaf))
+    require_state("step", after, state)
 
 
 def _check_space(name: str, space: Space, dtype: jnp.dtype) -> None:

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from bojax.envs.spaces import Space
-from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
+from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.schedules import Schedule
-from bojax.numerics.trial import Misfit, described, is_users, require, require_arrays, trial
+from bojax.numerics.trial import Misfit, described, is_users, require, require_arrays, require_state, trial
 
 
 def check_weight(learner: Learner) -> None:
@@ -81,25 +81,17 @@ def _check_methods(
     require("the expected return of act", acted[1], number)
 
     transition = Transition(observation, action, number, observation, no)
-    _require_state("observe", learner.observe(key, state, transition, exploration, zero), state)
-    _require_state("flush", learner.flush(state), state)
+    require_state("observe", learner.observe(key, state, transition, exploration, zero), state)
+    require_state("flush", learner.flush(state), state)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (learner.block, *x.shape)), transition)
     episode = Episode(rows, zero)
-    _require_state("end_episode", learner.end_episode(key, state, episode, exploration), state)
+    require_state("end_episode", learner.end_episode(key, state, episode, exploration), state)
 
     values = learner.values(state, observation, action)
     if not (isinstance(values, tuple) and len(values) == 2):
         raise Misfit(f"values returns {described(values)}; allowed: Q and U")
     for name, value in zip(("Q", "U"), values, strict=True):
         require(f"{name} of values", value, number)
-
-
-def _require_state(method: str, after: LearnerState, state: LearnerState) -> None:
-    """Raise a `Misfit` unless a method returns a state with the arrays of that of `init`."""
-    if jax.tree.structure(after) != jax.tree.structure(state):
-        raise Misfit(f"the states of init and {method} differ in structure")
-    for (path, leaf), other in zip(jax.tree.leaves_with_path(state), jax.tree.leaves(after), strict=True):
-        require(f"state{jax.tree_util.keystr(path)} of {method}", other, leaf)
 
 
 def _check_exploration(schedule: Schedule) -> None:

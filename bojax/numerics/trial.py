@@ -134,6 +134,14 @@ def require(name: str, value: Any, expected: Array) -> None:
     raise Misfit(f"{name} is {described(value)}; allowed: {expected.dtype} of shape {expected.shape}{hint}")
 
 
+def require_state(method: str, after: Any, before: Any) -> None:
+    """Raise a `Misfit` unless a method returns a state with the arrays of an earlier one."""
+    if jax.tree.structure(after) != jax.tree.structure(before):
+        raise Misfit(f"the state of {method} differs in structure from the first")
+    for (path, leaf), other in zip(jax.tree.leaves_with_path(before), jax.tree.leaves(after), strict=True):
+        require(f"state{jax.tree_util.keystr(path)} of {method}", other, jnp.asarray(leaf))
+
+
 def described(value: Any) -> str:
     """The precision and the shape of an array, or the type of another value."""
     return f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else type(value).__name__

@@ -84,7 +84,7 @@ MISFITS = {
     "numeric end": r"TimeStep.terminated is float32 of shape \(\); allowed: bool of shape \(\)",
     "long observation": rf"the observation of observe is float32 of shape \(2,\); {SINGLE}1,\)",
     "wide state": rf"state\['x'\] of step is float64 of shape \(1,\); {SINGLE}1,\)",
-    "other state": "the states of reset and step differ in structure",
+    "other state": "the state of step differs in structure from the first",
     "no time step": "step has to return the next state and a TimeStep",
     "scalar bounds": r"observation_space.low has shape \(\)",
     "wide bounds": r"action_space.low is float64 of shape \(1,\)",

@@ -63,7 +63,7 @@ MISFITS = {
     rf"the expected return of act is float32 of shape \(1,\); {SCALAR}": {"act": (ONE, ONE)},
     r"state\['q'\] of observe is float32 of shape \(1,\); allowed: .*\(3,\)": {"observe": {"q": ONE}},
     "a value that JAX traces is used in an if": {"branches": True},
-    "the states of init and flush differ in structure": {"flush": None},
+    "the state of flush differs in structure from the first": {"flush": None},
     r"a trial call failed: KeyError: 'u' \(test_check.py, line": {"misspelt": True},
     "values returns float32 of .*; allowed: Q and U": {"values": ONE[0]},
     rf"U of values is float; {SCALAR}": {"values": (ONE[0], 0.0)},
