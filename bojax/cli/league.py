@@ -1,12 +1,12 @@
 """`bojax reproduce surveys`: the league of surveys, one piece after the other, and its page."""
 
-import sys
 import time
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
 from bojax.cli.parser import UsageError
+from bojax.config.errors import say
 from bojax.results.folder import dated_folder, require_empty
 from bojax.text import one_line
 
@@ -40,7 +40,7 @@ def _run(out: Path, starts: int | None, command: str) -> int:
     from bojax.results.folder import check_plan
     from bojax.results.store import make_folder, read_json, write_json
 
-    with StopRequest(announce=lambda _: _say("stopping after this piece")) as stop:
+    with StopRequest(announce=lambda _: say("stopping after this piece")) as stop:
         prepare("auto")
         from bojax.surveys.league.cells import cells_of, describe
         from bojax.surveys.league.fields import SAMPLE, has_sample, league
@@ -53,7 +53,7 @@ def _run(out: Path, starts: int | None, command: str) -> int:
         fields = league()
         if not has_sample():
             package = SAMPLE.replace("_", "-")
-            _say(f"note: three fields are left out; to have them: pip install {package}")
+            say(f"note: three fields are left out; to have them: pip install {package}")
         about = describe(fields, starts)
         if (out / LEAGUE).exists():  # more starts may be added
             old = read_json(out / LEAGUE)
@@ -65,7 +65,7 @@ def _run(out: Path, starts: int | None, command: str) -> int:
         code = 0
         for number, cell in enumerate(cells):
             if stop:
-                _say(f"{len(cells) - number} pieces are left: --resume --out {out}")
+                say(f"{len(cells) - number} pieces are left: --resume --out {out}")
                 return stop.exit_code
             begin = time.monotonic()
             try:
@@ -73,9 +73,5 @@ def _run(out: Path, starts: int | None, command: str) -> int:
                 state = f"{time.monotonic() - begin:.0f} s"
             except ValueError as error:  # of a planner: --resume tries the piece again
                 code, state = 1, f"failed: {one_line(error)}"
-            _say(f"{number + 1} of {len(cells)}: {cell.name}, {state}")
+            say(f"{number + 1} of {len(cells)}: {cell.name}, {state}")
     return code
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -1,5 +1,7 @@
 """Checks of a sweep's report and claims against its points."""
 
+from collections.abc import Collection
+
 from bojax.config.claims import Window
 from bojax.config.errors import ConfigError, allowed_names, did_you_mean, shown
 from bojax.config.figures import TABLES, figure_modules
@@ -16,11 +18,8 @@ def check_sweep(sweep: Sweep, file: str) -> None:
     """
     variants = {point.variant for point in sweep.points}
     relative_to = sweep.report.get("relative_to")
-    if relative_to is not None and relative_to not in variants:
-        raise ConfigError(
-            f"{file}: report.relative_to: got {shown(relative_to)}; unknown variant"
-            f"{allowed_names(relative_to, variants)}"
-        )
+    if relative_to is not None:
+        _require(relative_to, variants, f"{file}: report.relative_to", "; unknown variant")
     figures = [*figure_modules(), *TABLES]
     for name in sweep.report.get("figures", ()):
         if name not in figures:
@@ -34,9 +33,8 @@ def check_sweep(sweep: Sweep, file: str) -> None:
     named = {"over": [sweep.report.get("over")], "heat_map": sweep.report.get("heat_map") or ()}
     for key, settings in named.items():
         for name in settings:
-            if name is not None and name not in swept:
-                allowed = allowed_names(name, swept)
-                raise ConfigError(f"{file}: report.{key}: got {shown(name)}; no swept setting{allowed}")
+            if name is not None:
+                _require(name, swept, f"{file}: report.{key}", "; no swept setting")
     seen = set()
     for index, claim in enumerate(sweep.claims):
         where = f"{file}: claims.{index}"
@@ -48,33 +46,26 @@ def check_sweep(sweep: Sweep, file: str) -> None:
             _check_column(sweep, values.get("column"), f"{where}.test.column")
         known = {point.variant if claim.test.by == "variant" else point.label for point in sweep.points}
         for name in claim.test.names:
-            if name not in known:
-                raise ConfigError(
-                    f"{where}.test: got {shown(name)}; unknown {claim.test.by}{allowed_names(name, known)}"
-                )
+            _require(name, known, f"{where}.test", f"; unknown {claim.test.by}")
     explained, names = set(), available("sweeps")
     for index, explanation in enumerate(sweep.report.get("explanations", ())):
         where = f"{file}: report.explanations.{index}"
         for name in explanation["claims"]:
-            if name not in seen:
-                raise ConfigError(f"{where}.claims: got {shown(name)}; unknown id{allowed_names(name, seen)}")
+            _require(name, seen, f"{where}.claims", "; unknown id")
             if name in explained:
                 raise ConfigError(f"{where}.claims: got {shown(name)}; allowed: one explanation of a claim")
             explained.add(name)
         for name in explanation.get("sweeps", ()):
-            if name not in names:
-                raise ConfigError(f"{where}.sweeps: got {shown(name)}{allowed_names(name, names)}")
+            _require(name, names, f"{where}.sweeps")
         try:
             found = references(explanation["text"])
         except ValueError as error:
             raise ConfigError(f"{where}.text: {error}") from error
         for reference in found:
-            if not reference.sweep:
+            if reference.sweep:
+                _require(reference.sweep, names, f"{where}.text")
+            else:
                 check_reference(reference, sweep, f"{where}.text")
-            elif reference.sweep not in names:
-                raise ConfigError(
-                    f"{where}.text: got {shown(reference.sweep)}{allowed_names(reference.sweep, names)}"
-                )
 
 
 def check_reference(reference: Reference, sweep: Sweep, where: str) -> None:
@@ -84,11 +75,7 @@ def check_reference(reference: Reference, sweep: Sweep, where: str) -> None:
         ConfigError: There is no such claim, or not exactly one such point.
     """
     if isinstance(reference, OfClaim):
-        ids = [claim.id for claim in sweep.claims]
-        if reference.claim not in ids:
-            raise ConfigError(
-                f"{where}: got {shown(reference.claim)}; unknown id{allowed_names(reference.claim, ids)}"
-            )
+        _require(reference.claim, [claim.id for claim in sweep.claims], where, "; unknown id")
         return
     found = matching(sweep.points, reference.point)
     name, known = reference.point, {point.variant for point in sweep.points}
@@ -100,6 +87,12 @@ def check_reference(reference: Reference, sweep: Sweep, where: str) -> None:
             "or a name with swept values: NAME, KEY VALUE"
         )
     _check_column(sweep, None if reference.episodes else reference.column, where)
+
+
+def _require(name: str, known: Collection[str], where: str, what: str = "") -> None:
+    """Refuse a name that is not among the known ones; `what` says so in the message."""
+    if name not in known:
+        raise ConfigError(f"{where}: got {shown(name)}{what}{allowed_names(name, known)}")
 
 
 def _check_column(sweep: Sweep, column: str | None, where: str) -> None:
