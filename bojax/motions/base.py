@@ -2,7 +2,8 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,14 +18,37 @@ Pose = Float[Array, "3"]
 """x and y in metres, heading in radians."""
 
 
+class Poses:
+    """Poses as columns, for kernels, which cannot slice an array: indexed like an array [..., 3].
+
+    `poses[..., i]` is a column, and `poses[-1]` the last pose of a path, whose numbers are `pose[i]`.
+    """
+
+    def __init__(self, columns: Sequence[Float[Array, "*S"]], last: "Poses | None" = None):
+        self._columns, self._last = columns, last
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array."""
+        return *self._columns[0].shape, 3
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, tuple):
+            return self._columns[index[-1]]
+        return self._columns[index] if self._last is None else self._last
+
+
 @eqx.filter_jit  # traced and lowered once where a program drives several times
 def place(path: Float[Array, "*S 3"], pose: Pose) -> Float[Array, "*S 3"]:
     """A path in the frame of a robot at `pose`, transformed to the world frame; headings are not wrapped."""
+    return jnp.stack(placed(path, pose), axis=-1)
+
+
+def placed(path: Float[Array, "*S 3"] | Poses, pose: Pose | Poses) -> list[Float[Array, "*S"]]:
+    """The columns of `place`."""
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
     x, y = path[..., 0], path[..., 1]
-    return jnp.stack(
-        [pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y, pose[2] + path[..., 2]], axis=-1
-    )
+    return [pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y, pose[2] + path[..., 2]]
 
 
 def sample_by_arc_length(

@@ -52,6 +52,12 @@ def imported() -> tuple[Any, Any]:
     return pallas, importlib.import_module("jax.experimental.pallas.triton")
 
 
+def barrier() -> None:
+    """Wait, in a kernel, until all threads of its program are here; an interpreted kernel has only one."""
+    if jax.default_backend() != "cpu":
+        imported()[1].debug_barrier()
+
+
 def launch(
     body: Callable[..., None],
     results: Sequence[jax.ShapeDtypeStruct],

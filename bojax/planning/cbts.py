@@ -18,6 +18,8 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.quasirandom import shifted_kronecker
+from bojax.numerics.pallas import either
+from bojax.planning import cbts_kernel
 from bojax.planning.search import Proposal, TreeSearch
 from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct, write_row
 from bojax.problems.base import Belief, Objective
@@ -131,6 +133,20 @@ class ContinuousBeliefTreeSearch(
         return self.max_actions.size
 
     @override
+    def search(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> tuple[Tree, NodeModels]:
+        """The tree and the planner's memory after all iterations; on a GPU, a kernel may find them."""
+        is_kernel = type(self) is ContinuousBeliefTreeSearch and cbts_kernel.is_used(self, problem)
+        search = super().search
+
+        def by_kernel(key: Key[Array, ""], belief: Belief) -> tuple[Tree, NodeModels]:
+            key, _ = jax.random.split(key)  # the second one, of simulations, draws nothing here
+            memory, draws = self.begin(key, self.discount.dtype)
+            tree, found = cbts_kernel.search(self, problem, belief, memory, draws)
+            return tree, replace(memory, **found)
+
+        return either(is_kernel, by_kernel, lambda key, belief: search(key, problem, belief), key, belief)
+
+    @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
         keys = jax.random.split(key, 3)
         candidates = shifted_kronecker(keys[0], self.num_candidates, self.motions.num_params, dtype)
@@ -230,7 +246,7 @@ class ContinuousBeliefTreeSearch(
         children = tree.children[node]
         exists = children != UNVISITED
         count = jnp.sum(exists, dtype=jnp.int32)
-        rewards = _scale(tree.outcome[children][:, 0], exists, self.scaling)
+        rewards = self.scaled(tree.outcome[children][:, 0], exists)
         model = GaussianProcess(
             kernel=self.kernel,
             noise_variance=self.noise_variance,
@@ -241,6 +257,22 @@ class ContinuousBeliefTreeSearch(
             num_ignored=jnp.zeros((), jnp.int32),
         )
         return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))
+
+    def scaled(self, rewards: Float[Array, "A"], exists: Bool[Array, "A"]) -> Float[Array, "A"]:
+        """Scaled rewards of the actions of a node; undefined where `exists` is false."""
+        number = jnp.maximum(jnp.sum(exists), 1).astype(rewards.dtype)
+        if self.scaling == "none":
+            return rewards
+        if self.scaling == "rank":
+            # Twice the mean rank of a reward: how many are smaller, plus how many are not larger (with
+            # itself).
+            below = jnp.sum(exists[None, :] & (rewards[None, :] < rewards[:, None]), axis=1)
+            not_above = jnp.sum(exists[None, :] & (rewards[None, :] <= rewards[:, None]), axis=1)
+            return (below + not_above).astype(rewards.dtype) / number - 1.0
+        mean = jnp.sum(jnp.where(exists, rewards, 0.0)) / number
+        variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
+        # Equal rewards carry no information about the surface: they are scaled to 0.
+        return (rewards - mean) / jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)
 
     @property
     @override
@@ -286,22 +318,6 @@ class ContinuousBeliefTreeSearch(
             return self.motions.path(params)
         # The action is one of the candidates, whose paths are known: half as many paths to compile.
         return memory.paths[jnp.argmax(jnp.all(memory.candidates == params[None, :], axis=1))]
-
-
-def _scale(rewards: Float[Array, "A"], exists: Bool[Array, "A"], scaling: Scaling) -> Float[Array, "A"]:
-    """Scaled rewards of a node; undefined where `exists` is false."""
-    number = jnp.maximum(jnp.sum(exists), 1).astype(rewards.dtype)
-    if scaling == "none":
-        return rewards
-    if scaling == "rank":
-        # Twice the mean rank of a reward: how many are smaller, plus how many are not larger (with itself).
-        below = jnp.sum(exists[None, :] & (rewards[None, :] < rewards[:, None]), axis=1)
-        not_above = jnp.sum(exists[None, :] & (rewards[None, :] <= rewards[:, None]), axis=1)
-        return (below + not_above).astype(rewards.dtype) / number - 1.0
-    mean = jnp.sum(jnp.where(exists, rewards, 0.0)) / number
-    variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
-    # Equal rewards carry no information about the surface: they are scaled to 0.
-    return (rewards - mean) / jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)
 
 
 _SHORTFALL = Column(

@@ -1,6 +1,7 @@
 """Tree search in belief space: descend, expand, roll out, back up (Algorithms 2 and 4)."""
 
 import abc
+from collections.abc import Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -259,15 +260,15 @@ class _Descent(NamedTuple):
 
 
 def return_of(
-    rewards: Float[Array, "H"],
-    terminated: Bool[Array, "H"],
+    rewards: Float[Array, "H"] | Sequence[Float[Array, ""]],
+    terminated: Bool[Array, "H"] | Sequence[Bool[Array, ""]],
     number: Int[Array, ""],
     discount: Float[Array, ""],
 ) -> Float[Array, ""]:
     """The return of the first `number` simulated paths, without rewards after a terminal state."""
     # Backwards, R_t = r_t + gamma R_(t+1). What is cut off may be any number, even NaN, which `where` stops.
     value = jnp.zeros((), discount.dtype)
-    for step in reversed(range(rewards.shape[0])):
+    for step in reversed(range(len(rewards))):
         later = jnp.where(terminated[step], 0.0, discount * value)
         value = jnp.where(step < number, rewards[step] + later, 0.0)
     return value

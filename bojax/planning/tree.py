@@ -203,7 +203,16 @@ def upper_bound(
     It is the mean return plus `exploration` sqrt(ln n_p / n_i). The factor 2 under the square root in
     Algorithm 2 is absorbed by `exploration`.
     """
-    visits, returns = totals[..., 0], totals[..., 1]
+    return upper_bound_of(totals[..., 0], totals[..., 1], at_node, exploration)
+
+
+def upper_bound_of(
+    visits: Float[Array, "*K"],
+    returns: Float[Array, "*K"],
+    at_node: Float[Array, ""],
+    exploration: Float[Array, ""],
+) -> Float[Array, "*K"]:
+    """`upper_bound` of actions, from their visits and their sums of returns."""
     bonus = exploration * jnp.sqrt(jnp.log(jnp.maximum(at_node, 1.0)) / jnp.maximum(visits, 1.0))
     return mean_return(visits, returns) + bonus
 

@@ -1,6 +1,6 @@
 """Robot parking (Section 4.7.2): reach a parking spot from a random pose, with the heading along its axis."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.motions.base import Pose
+from bojax.motions.base import Pose, Poses
 from bojax.numerics.choices import Choice, one_of
 from bojax.problems.pose import Outcome, PoseProblem
 
@@ -42,6 +42,8 @@ class Parking(PoseProblem):
     Settings: `bojax.problems.settings.Parking` and `RobotParking`.
     """
 
+    runs_in_kernels: ClassVar[bool] = True
+
     half_width: Float[Array, ""]
     distance_tolerance: Float[Array, ""]
     heading_tolerance: Float[Array, ""]
@@ -63,16 +65,13 @@ class Parking(PoseProblem):
         return jax.random.uniform(key, (3,), self.half_width.dtype, low, high)
 
     @override
-    def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
+    def outcome(self, start: Pose | Poses, path: Float[Array, "S 3"] | Poses) -> Outcome:
         # A path ends at the first pose that parks or leaves the domain.
         index = jnp.arange(path.shape[0], dtype=jnp.int32)
         end = path.shape[0] - 1
         # Elementwise arithmetic: a reduction over the two coordinates would be a kernel of its own on a GPU.
-        x, y = path[:, 0], path[:, 1]
-        is_outside = jnp.maximum(jnp.abs(x), jnp.abs(y)) > self.half_width
-        distance = jnp.sqrt(x**2 + y**2)
-        off_heading = jnp.abs(jnp.sin(path[:, 2]))
-        off_axis = self._off_axis(path, distance)
+        is_outside = jnp.maximum(jnp.abs(path[..., 0]), jnp.abs(path[..., 1])) > self.half_width
+        distance, off_heading, off_axis = self._offsets(path)
         is_parked = (distance <= self.distance_tolerance) & (off_heading <= self.heading_tolerance)
         is_bearing_dropped = self.rule.is_("bearing-dropped") | self.rule.is_("anywhere-bearing-dropped")
         is_anywhere = self.rule.is_("anywhere") | self.rule.is_("anywhere-bearing-dropped")
@@ -89,19 +88,21 @@ class Parking(PoseProblem):
         terminated = success | (self.exit_terminates & exited)
         last = jnp.minimum(jnp.minimum(first_parked, ends_outside), end)
         farthest = 2.0**0.5 * self.half_width
+        distance, off_heading, off_axis = self._offsets(path[-1])
         shaped = jnp.where(
-            off_axis[-1] > self.bearing_tolerance,
-            -off_axis[-1] - farthest - 1.0,
-            jnp.where(off_heading[-1] > self.heading_tolerance, -off_heading[-1] - farthest, -distance[-1]),
+            off_axis > self.bearing_tolerance,
+            -off_axis - farthest - 1.0,
+            jnp.where(off_heading > self.heading_tolerance, -off_heading - farthest, -distance),
         )
         paid = jnp.where(success, self.success_reward, shaped)
         reward = jnp.where(exited & ~success, self.exit_reward, paid)
         return Outcome(reward, terminated, success, exited, last)
 
-    def _off_axis(self, path: Float[Array, "S 3"], distance: Float[Array, "S"]) -> Float[Array, "S"]:
-        """|sin beta|; 0 at the spot itself."""
-        safe = jnp.where(distance > 0.0, distance, 1.0)
-        across = path[:, 1]
+    def _offsets(self, poses: Float[Array, "*S 3"] | Poses) -> tuple[Float[Array, "*S"], ...]:
+        """Distance from the spot, |sin alpha|, and |sin beta|, which is 0 at the spot itself."""
+        x, y, heading = poses[..., 0], poses[..., 1], poses[..., 2]
+        distance = jnp.sqrt(x**2 + y**2)
+        across = y
         if self.bearing == "robot":
-            across = path[:, 1] * jnp.cos(path[:, 2]) - path[:, 0] * jnp.sin(path[:, 2])
-        return jnp.abs(across) / safe
+            across = y * jnp.cos(heading) - x * jnp.sin(heading)
+        return distance, jnp.abs(jnp.sin(heading)), jnp.abs(across) / jnp.where(distance > 0.0, distance, 1.0)

@@ -2,6 +2,7 @@
 
 import abc
 from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -44,7 +45,13 @@ class PoseProblem(PathProblem):
     The planner's model follows paths exactly. It observes the pose with Gaussian
     noise. Its belief is the last measurement, which simulations treat as the true pose. In the world, the
     `vehicle` follows the paths, by default exactly.
+
+    Attributes:
+        runs_in_kernels: Whether `outcome` also takes `Poses` and computes with them in a Pallas kernel. It
+            holds for the class that says so, not for subclasses of it.
     """
+
+    runs_in_kernels: ClassVar[bool] = False
 
     position_noise: eqx.AbstractVar[Float[Array, ""]]
     heading_noise: eqx.AbstractVar[Float[Array, ""]]
