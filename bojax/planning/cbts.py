@@ -17,8 +17,8 @@ from bojax.models.checks import check_takes
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
-from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.numerics.pallas import either
+from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning import cbts_kernel
 from bojax.planning.search import Proposal, TreeSearch
 from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct, write_row

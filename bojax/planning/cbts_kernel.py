@@ -21,22 +21,25 @@ from bojax.motions.base import Poses, placed
 from bojax.numerics.linalg import noise_floor
 from bojax.numerics.pallas import barrier, imported, kernels_run_here, launch
 from bojax.planning.search import return_of
-from bojax.planning.tree import ROOT, UNVISITED, Tree, mean_return, upper_bound_of
+from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound_of
 from bojax.problems.path_problem import PathProblem
 from bojax.problems.pose import PoseProblem
 
 WARPS = 2
-"""Warps of a lane. On an H200, in float32, 1,000 plans take 4.0 ms with 2 warps, 5.6 with 4 and 6.9 with 8."""
+"""Warps of a lane. On an H200, 1,000 plans in float32 take 4.0 ms with 2, 5.6 with 4 and 6.9 with 8."""
 
-ENTRIES = 1024
-"""Number of whitened covariances that a lane reads at once, of as many actions as have so many."""
+ENTRIES = {4: 1024, 8: 256}
+"""How many whitened covariances a lane reads at once, by the bytes of a number.
+
+With these, an H200 has the registers for eight lanes on a multiprocessor, about 1,000 in all.
+"""
 
 X, Y, HEADING, REWARD, IS_OVER, VISITS, RETURN, HAS_CONVERGED, IS_FULL, PARAMS = map(np.int32, range(10))
 """Columns of `Rows.numbers`. All indices are explicitly 32-bit: in JAX's 64-bit mode, others are 64-bit."""
 
 
 def is_used(planner: Any, problem: PathProblem) -> bool:
-    """Whether the search of a `ContinuousBeliefTreeSearch` is a kernel; sizes bound its program and memory."""
+    """Whether the search of a `ContinuousBeliefTreeSearch` is a kernel; its sizes bound that program."""
     return (
         kernels_run_here()
         and isinstance(problem, PoseProblem)
@@ -174,7 +177,9 @@ class _Search(NamedTuple):
         """Add a child, with the rewards of its action and of a rollout from there, and back up."""
         planner, numbers = self.planner, self.rows.numbers
         candidate, place, rows, has_converged = self.propose(i, node)
-        is_full = (place + np.int32(1) >= self.given.max_actions[...]) | has_converged  # line 12 of Algorithm 4
+        is_full = (
+            place + np.int32(1) >= self.given.max_actions[...]
+        ) | has_converged  # line 12 of Algorithm 4
         pose = Poses([numbers[node, column] for column in (X, Y, HEADING)])
         followed = [candidate, *(self.given.rollout[i, np.int32(step)] for step in range(planner.depth - 1))]
         outcomes, poses = [], [pose]
@@ -189,7 +194,9 @@ class _Search(NamedTuple):
         self.rows.parent[child] = node
         self.rows.factor[child, :], self.rows.whitened[child, :] = rows
         outcome = rewards[0], ends[0], 1.0, future, has_converged, False
-        params = (self.given.candidates[np.int32(d), candidate] for d in range(self.given.candidates.shape[0]))
+        params = (
+            self.given.candidates[np.int32(d), candidate] for d in range(self.given.candidates.shape[0])
+        )
         self._write(child, *(poses[1][column] for column in (X, Y, HEADING)), *outcome, *params)
         self.back_up(node, future)
         self.rows.children[node, place], numbers[node, IS_FULL] = child, self._number(is_full)
@@ -265,9 +272,10 @@ class _Search(NamedTuple):
     def _over_children(
         self, node: Any, count: Any, of: Callable[[Array], tuple[Array, ...]], widths: tuple[int, ...]
     ) -> Sequence[Array]:
-        """Sums over the children of a node; `of` computes the terms of a few of them at once, `[K, width]`."""
+        """Sums over the children of a node; `of` computes the terms of a few at once, [K, width]."""
         pallas, _ = imported()
-        size = min(ENTRIES // self.rows.whitened.shape[1], self.rows.children.shape[1])
+        entries = ENTRIES[self.rows.whitened.dtype.itemsize]
+        size = min(max(entries // self.rows.whitened.shape[1], 1), self.rows.children.shape[1])
 
         # The rows of a missing child are those of the root, which are zero.
         def body(block: Any, sums: Any) -> Any:
