@@ -1,5 +1,6 @@
 """The timings of bench_kcbts.py, run in a process with its own cores."""
 
+import dataclasses
 import sys
 from typing import Any
 
@@ -12,16 +13,26 @@ from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_rec
 
 from bojax.engine.build import build
 from bojax.experiments.settings import Planning
+from bojax.numerics.lanes import LANES
+from bojax.planning.cbts import ContinuousBeliefTreeSearch
 
 LANES_ON_CPU = 64
 """Default number of lanes of the parking problem on a CPU (`Experiment.lanes_on_cpu`)."""
 
 
+class WithoutKernel(ContinuousBeliefTreeSearch):
+    """The search as a program of XLA, also on a GPU: the kernel is for no subclass."""
+
+
 class Case:
     """Plans and episodes of an experiment, by default parking; every run has its own start and key."""
 
-    def __init__(self, seed: int, planning: Planning | None = None):
+    def __init__(self, seed: int, planning: Planning | None = None, has_kernel: bool = True):
         self.experiment: Any = build(planning or Planning(), "float64")
+        if not has_kernel:
+            planner = self.experiment.planner
+            fields = {field.name: getattr(planner, field.name) for field in dataclasses.fields(planner)}
+            self.experiment = dataclasses.replace(self.experiment, planner=WithoutKernel(**fields))
         self._starts, self._keys = jax.random.split(jax.random.key(seed))
 
     def start(self, run):
@@ -83,13 +94,25 @@ def main(argv: list[str]) -> int:
     rows = [Row("NumPy, one plan", 1, seconds, planner.iterations)]
     rows.append(time_runs("bojax, one plan", case.plan, 1, 1, planner.iterations, args.repeats))
     num_devices = jax.device_count()
-    for runs in args.runs or ([200, 1000] if on_gpu() else [200]):
+    cases = {"bojax": case}
+    if args.no_kernel:
+        cases["bojax without the kernel"] = Case(args.seed, has_kernel=False)
+    all_runs = args.runs or ([200, 1000] if on_gpu() else [200])
+    for runs in all_runs:
         lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu() else LANES_ON_CPU))
-        rows.append(time_runs("bojax, plans", case.plan, runs, lanes, planner.iterations, args.repeats))
-        if args.episodes or on_gpu():
-            iterations = planner.iterations * case.experiment.max_advances
-            rows.append(time_runs("bojax, episodes", case.episode, runs, lanes, iterations, args.repeats))
+        for name, each in cases.items():
+            rows.append(time_runs(f"{name}, plans", each.plan, runs, lanes, planner.iterations, args.repeats))
+            if args.episodes or on_gpu():
+                iterations = planner.iterations * case.experiment.max_advances
+                rows.append(
+                    time_runs(f"{name}, episodes", each.episode, runs, lanes, iterations, args.repeats)
+                )
 
+    if args.no_kernel:
+        runs = max(all_runs)
+        paths = [jax.jit(jax.vmap(each.plan, axis_name=LANES))(np.arange(runs)) for each in cases.values()]
+        equal = np.all(np.abs(paths[0] - paths[1]) < 1e-9, axis=(1, 2))
+        print(f"{np.sum(equal)} of {runs} plans are the same without the kernel")
     print_rows("kCBTS on the parking problem", "iterations", rows, "NumPy")
     if args.json:
         write_record(args.json, "kcbts", "iterations", rows, Planning().model_dump(mode="json"))

@@ -97,12 +97,17 @@ def search(
         rollout=draws.rollout.astype(jnp.int32),
         initial=draws.initial.astype(jnp.int32),
     )
-    nodes = planner.iterations + 1
-    widths = (actions,), (), (int(PARAMS) + num_params,), (actions,), (number + more,)
-    dtypes = [jnp.int32] * 2 + [dtype] * 3
-    results = [
-        jax.ShapeDtypeStruct((nodes, *width), dtype) for width, dtype in zip(widths, dtypes, strict=True)
-    ]
+
+    def rows_of(dtype: Any, *width: int) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct((planner.iterations + 1, *width), dtype)
+
+    results = Rows(
+        children=rows_of(jnp.int32, actions),
+        parent=rows_of(jnp.int32),
+        numbers=rows_of(dtype, int(PARAMS) + num_params),
+        factor=rows_of(dtype, actions),
+        whitened=rows_of(dtype, number + more),
+    )
     numbers, rebuilt = _numbers_of((planner, problem))
 
     def kernel(*refs: Any) -> None:
@@ -177,9 +182,8 @@ class _Search(NamedTuple):
         """Add a child, with the rewards of its action and of a rollout from there, and back up."""
         planner, numbers = self.planner, self.rows.numbers
         candidate, place, rows, has_converged = self.propose(i, node)
-        is_full = (
-            place + np.int32(1) >= self.given.max_actions[...]
-        ) | has_converged  # line 12 of Algorithm 4
+        # Line 12 of Algorithm 4, with the new child among the children.
+        is_full = (place + np.int32(1) >= self.given.max_actions[...]) | has_converged
         pose = Poses([numbers[node, column] for column in (X, Y, HEADING)])
         followed = [candidate, *(self.given.rollout[i, np.int32(step)] for step in range(planner.depth - 1))]
         outcomes, poses = [], [pose]
