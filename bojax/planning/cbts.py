@@ -135,8 +135,9 @@ class ContinuousBeliefTreeSearch(
     @override
     def search(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> tuple[Tree, NodeModels]:
         """The tree and the planner's memory after all iterations; on a GPU, a kernel may find them."""
-        is_kernel = type(self) is ContinuousBeliefTreeSearch and cbts_kernel.is_used(self, problem)
-        search = super().search
+        by_xla = super().search
+        if type(self) is not ContinuousBeliefTreeSearch or not cbts_kernel.is_used(self, problem):
+            return by_xla(key, problem, belief)
 
         def by_kernel(key: Key[Array, ""], belief: Belief) -> tuple[Tree, NodeModels]:
             key, _ = jax.random.split(key)  # the second one, of simulations, draws nothing here
@@ -144,7 +145,7 @@ class ContinuousBeliefTreeSearch(
             tree, found = cbts_kernel.search(self, problem, belief, memory, draws)
             return tree, replace(memory, **found)
 
-        return either(is_kernel, by_kernel, lambda key, belief: search(key, problem, belief), key, belief)
+        return either(True, by_kernel, lambda key, belief: by_xla(key, problem, belief), key, belief)
 
     @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
