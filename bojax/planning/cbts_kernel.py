@@ -37,6 +37,8 @@ With these, an H200 has the registers for eight lanes on a multiprocessor, about
 X, Y, HEADING, REWARD, IS_OVER, VISITS, RETURN, HAS_CONVERGED, IS_FULL, PARAMS = map(np.int32, range(10))
 """Columns of `Rows.numbers`. All indices are explicitly 32-bit: in JAX's 64-bit mode, others are 64-bit."""
 
+POSE = X, Y, HEADING
+
 
 def is_used(planner: Any, problem: PathProblem) -> bool:
     """Whether the search of a `ContinuousBeliefTreeSearch` is a kernel; its sizes bound that program."""
@@ -142,7 +144,7 @@ class _Search(NamedTuple):
         self.rows.children[ROOT, :] = jnp.zeros(self.rows.children.shape[1], jnp.int32)
         self.rows.factor[ROOT, :] = self._zeros(self.rows.factor.shape[1])
         self.rows.whitened[ROOT, :] = self._zeros(self.rows.whitened.shape[1])
-        self._write(np.int32(ROOT), *(self.given.start[column] for column in (X, Y, HEADING)))
+        self._write(np.int32(ROOT), *(self.given.start[column] for column in POSE))
 
         def iterate(i: Any, carry: Any) -> Any:
             barrier()  # until the tree has been written
@@ -184,24 +186,20 @@ class _Search(NamedTuple):
         candidate, place, rows, has_converged = self.propose(i, node)
         # Line 12 of Algorithm 4, with the new child among the children.
         is_full = (place + np.int32(1) >= self.given.max_actions[...]) | has_converged
-        pose = Poses([numbers[node, column] for column in (X, Y, HEADING)])
-        followed = [candidate, *(self.given.rollout[i, np.int32(step)] for step in range(planner.depth - 1))]
-        outcomes, poses = [], [pose]
-        for each in followed:
+        rollout = [self.given.rollout[i, np.int32(step)] for step in range(planner.depth - 1)]
+        poses, outcomes = [Poses([numbers[node, column] for column in POSE])], []
+        for each in [candidate, *rollout]:
             path = self.path(each, poses[-1])
             outcomes.append(self.problem.outcome(poses[-1], path))
             poses.append(path[-1])
-        rewards, ends = [o.reward for o in outcomes], [o.terminated for o in outcomes]
+        rewards, ends = [each.reward for each in outcomes], [each.terminated for each in outcomes]
         future = return_of(rewards, ends, np.int32(planner.depth) - level, planner.discount)
         child = i + np.int32(1)
         self.rows.children[child, :] = jnp.zeros(self.rows.children.shape[1], jnp.int32)
         self.rows.parent[child] = node
         self.rows.factor[child, :], self.rows.whitened[child, :] = rows
-        outcome = rewards[0], ends[0], 1.0, future, has_converged, False
-        params = (
-            self.given.candidates[np.int32(d), candidate] for d in range(self.given.candidates.shape[0])
-        )
-        self._write(child, *(poses[1][column] for column in (X, Y, HEADING)), *outcome, *params)
+        found = rewards[0], ends[0], 1.0, future, has_converged, False
+        self._write(child, *(poses[1][column] for column in POSE), *found, *self._params(candidate))
         self.back_up(node, future)
         self.rows.children[node, place], numbers[node, IS_FULL] = child, self._number(is_full)
 
@@ -241,9 +239,8 @@ class _Search(NamedTuple):
         next_whitened = (given.covariances[candidate, :] - shared) / pivot
 
         previous, squares = jnp.max(children), self._zeros()  # a later node has a higher index
-        for d in map(np.int32, range(given.candidates.shape[0])):
-            moved = given.candidates[d, candidate] - self.rows.numbers[previous, PARAMS + d]
-            squares = squares + moved * moved
+        for d, param in enumerate(self._params(candidate)):
+            squares = squares + (param - self.rows.numbers[previous, PARAMS + np.int32(d)]) ** 2
         has_converged = (count > 0) & (jnp.sqrt(squares) < planner.convergence)
         return candidate, count, (row, next_whitened), has_converged
 
@@ -251,8 +248,8 @@ class _Search(NamedTuple):
         """The path of a candidate from a pose, in the world frame."""
         paths = self.given.paths
         last = np.int32(paths.shape[2] - 1)
-        samples = Poses([paths[column, candidate, :] for column in (X, Y, HEADING)])
-        end = Poses([paths[column, candidate, last] for column in (X, Y, HEADING)])
+        samples = Poses([paths[column, candidate, :] for column in POSE])
+        end = Poses([paths[column, candidate, last] for column in POSE])
         return Poses(placed(samples, pose), Poses(placed(end, pose)))
 
     def back_up(self, node: Int[Array, ""], future: Float[Array, ""]) -> None:
@@ -289,6 +286,10 @@ class _Search(NamedTuple):
         number = jax.lax.div(count + np.int32(size - 1), np.int32(size))
         zeros = tuple(self._zeros(size, width) for width in widths)
         return [jnp.sum(each, axis=0) for each in jax.lax.fori_loop(np.int32(0), number, body, zeros)]
+
+    def _params(self, candidate: Int[Array, ""]) -> list[Float[Array, ""]]:
+        candidates = self.given.candidates
+        return [candidates[np.int32(d), candidate] for d in range(candidates.shape[0])]
 
     def _write(self, node: Any, *numbers: Any) -> None:
         """Write the columns of a node; those without a number are 0."""

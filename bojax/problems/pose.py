@@ -47,8 +47,8 @@ class PoseProblem(PathProblem):
     `vehicle` follows the paths, by default exactly.
 
     Attributes:
-        runs_in_kernels: Whether `outcome` also takes `Poses` and computes with them in a Pallas kernel. It
-            holds for the class that says so, not for subclasses of it.
+        runs_in_kernels: Whether `outcome` also takes `Poses`, and can be computed in a kernel of Pallas, as
+            `bojax.planning.cbts_kernel` does. A subclass has to say so again.
     """
 
     runs_in_kernels: ClassVar[bool] = False
