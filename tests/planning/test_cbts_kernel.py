@@ -149,6 +149,12 @@ class OtherParking(Parking):
     """A problem that may have another outcome."""
 
 
+class DeclaredParking(OtherParking):
+    """A problem that says that its outcome can be computed in a kernel."""
+
+    runs_in_kernels = True
+
+
 def test_other_searches_are_programs_of_xla(kernels):
     planner, problem = kcbts(), parking()
     assert not cbts_kernel.is_used(planner, problem)
@@ -158,6 +164,7 @@ def test_other_searches_are_programs_of_xla(kernels):
         assert not cbts_kernel.is_used(other, problem)
     assert not cbts_kernel.is_used(planner, monitoring())
     assert not cbts_kernel.is_used(planner, remade(OtherParking, problem))
+    assert cbts_kernel.is_used(planner, remade(DeclaredParking, problem))
     other, key = remade(Subclass, planner), jax.random.key(0)
     eqx.filter_eval_shape(other.search, key, problem, f64(POSES["far"]))
     assert used == []
