@@ -96,7 +96,7 @@ def main(argv: list[str]) -> int:
     num_devices = jax.device_count()
     cases = {"bojax": case}
     if args.no_kernel:
-        cases["bojax without the kernel"] = Case(args.seed, has_kernel=False)
+        cases["XLA only"] = Case(args.seed, has_kernel=False)
     all_runs = args.runs or ([200, 1000] if on_gpu() else [200])
     for runs in all_runs:
         lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu() else LANES_ON_CPU))
