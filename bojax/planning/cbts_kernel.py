@@ -25,14 +25,14 @@ from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound_of
 from bojax.problems.path_problem import PathProblem
 from bojax.problems.pose import PoseProblem
 
-WARPS = 2
-"""Warps of a lane. On an H200, 1,000 plans in float32 take 4.0 ms with 2, 5.6 with 4 and 6.9 with 8."""
+WARPS = 1
+"""Warps of a lane.
+
+On an H200, 200 plans in float64 take 3.6 ms with one, and 4.5 with two or four; 1,000 take 6.1, 7.2 and 10.1.
+"""
 
 ENTRIES = {4: 1024, 8: 256}
-"""How many whitened covariances a lane reads at once, by the bytes of a number.
-
-With these, an H200 has the registers for eight lanes on a multiprocessor, about 1,000 in all.
-"""
+"""How many whitened covariances a lane reads at once, by the bytes of a number."""
 
 X, Y, HEADING, REWARD, IS_OVER, VISITS, RETURN, HAS_CONVERGED, IS_FULL, PARAMS = map(np.int32, range(10))
 """Columns of `Rows.numbers`. All indices are explicitly 32-bit: in JAX's 64-bit mode, others are 64-bit."""
