@@ -15,7 +15,7 @@ from options import make_parser, positive
 EXAMPLES = """\
   python benchmarks/bench_kcbts.py                 one core of a CPU, or a GPU, also with whole episodes
   python benchmarks/bench_kcbts.py --runs 200 1000 --episodes --json kcbts.json
-  python benchmarks/bench_kcbts.py --no-kernel     on a GPU: also the search as a program of XLA
+  python benchmarks/bench_kcbts.py --compare-xla   on a GPU: also the search as a program of XLA
 """
 
 
@@ -32,7 +32,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--lanes", type=positive, help="maximum runs at once on a device (CPU 64; GPU all)")
     parser.add_argument("--episodes", action="store_true", help="also time whole episodes (always on a GPU)")
     parser.add_argument(
-        "--no-kernel", action="store_true", help="also time the search without its kernel, and compare plans"
+        "--compare-xla",
+        action="store_true",
+        help="on a GPU: also time the search as a program of XLA, and compare the plans",
     )
     parser.add_argument("--plans", type=positive, default=8, help="plans of the NumPy reference (8)")
     return parser.parse_args(argv)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from bojax.numerics.linalg import HIGHEST
-from bojax.numerics.pallas import imported, kernels_run_here, launch
+from bojax.numerics.pallas import imported, kernels_run_here, launch, power_of_two
 
 BAND = 32  # rows and columns of the blocks of L^-1 that a kernel reads
 
@@ -32,7 +32,7 @@ def whitened(
 
     Each program of the grid computes `BAND` rows.
     """
-    size, width = gram.shape[0], _power_of_two(gram.shape[1])
+    size, width = gram.shape[0], power_of_two(gram.shape[1])
 
     def body(factor_ref: Any, gram_ref: Any, count_ref: Any, out_ref: Any) -> None:
         # All indices are explicitly 32-bit: in JAX's 64-bit mode, Python integers would become 64-bit.
@@ -62,7 +62,7 @@ def explained_away(
 
     Each program of the grid computes `BAND` columns.
     """
-    size, height = rows.shape[1], max(16, _power_of_two(rows.shape[0]))  # Triton's least is 16
+    size, height = rows.shape[1], max(16, power_of_two(rows.shape[0]))  # Triton's least is 16
 
     def body(rows_ref: Any, factor_ref: Any, count_ref: Any, out_ref: Any) -> None:
         pallas, triton = imported()
@@ -98,7 +98,7 @@ def conditioned(
     size, given = joint.shape[0], innovations.shape[0]
     stage_size = size // num_stages
     columns, results = (size + given, num_stages + 1) if with_weights else (size, 2)
-    width, height, few = map(_power_of_two, (columns, given, results))
+    width, height, few = map(power_of_two, (columns, given, results))
 
     def body(joint_ref: Any, least_ref: Any, innovations_ref: Any, out_ref: Any) -> None:
         _, triton = imported()
@@ -153,11 +153,6 @@ def _in_bands(
     """An array like `like`; each program computes `BAND` of its `size` rows or columns."""
     result = jax.ShapeDtypeStruct(like.shape, like.dtype)
     return launch(body, [result], *args, name=name, grid=(-(-size // BAND),), warps=4, stages=3)[0]
-
-
-def _power_of_two(number: int) -> int:
-    """The next power of two: the sizes of arrays in a kernel."""
-    return 1 << (number - 1).bit_length()
 
 
 def _tile(ref: Any, *axes: tuple[Any, int]) -> tuple[Any, jax.Array]:

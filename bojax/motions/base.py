@@ -19,9 +19,14 @@ Pose = Float[Array, "3"]
 
 
 class Poses:
-    """Poses as columns, for kernels, which cannot slice an array: indexed like an array [..., 3].
+    """The poses of a path, or one pose, as columns: for kernels, which cannot slice an array.
 
-    `poses[..., i]` is a column, and `poses[-1]` the last pose of a path, whose numbers are `pose[i]`.
+    They are indexed like an array [..., 3], but only by `path[..., i]`, by `path[-1]`, which is one pose, and
+    by `pose[i]`.
+
+    Args:
+        columns: The columns x, y and heading.
+        last: The last pose of a path; None for one pose.
     """
 
     def __init__(self, columns: Sequence[Float[Array, "*S"]], last: "Poses | None" = None):
@@ -33,9 +38,14 @@ class Poses:
         return *self._columns[0].shape, 3
 
     def __getitem__(self, index: Any) -> Any:
-        if isinstance(index, tuple):
-            return self._columns[index[-1]]
-        return self._columns[index] if self._last is None else self._last
+        if isinstance(index, tuple) and len(index) == 2 and index[0] is ...:
+            return self._columns[index[1]]
+        if not isinstance(index, tuple):
+            if self._last is None:
+                return self._columns[index]
+            if index == -1:
+                return self._last
+        raise IndexError(f"got poses[{index}]; allowed in a kernel: poses[..., i] and poses[-1]")
 
 
 @eqx.filter_jit  # traced and lowered once where a program drives several times

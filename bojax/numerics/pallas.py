@@ -52,6 +52,11 @@ def imported() -> tuple[Any, Any]:
     return pallas, importlib.import_module("jax.experimental.pallas.triton")
 
 
+def power_of_two(number: int) -> int:
+    """The least power of two that is not below a number: the sizes of arrays in a kernel."""
+    return 1 << (number - 1).bit_length()
+
+
 def barrier() -> None:
     """Wait, in a kernel, until all threads of its program are here; an interpreted kernel has only one."""
     if jax.default_backend() != "cpu":

@@ -320,7 +320,7 @@ class BeliefTreeSearch(eqx.Module):
         """The action of the highest upper confidence bound, among those that exist or may be added now."""
         visits = totals[:, 0]
         at_node = jnp.sum(visits)
-        bounds = upper_bound(totals, at_node, self.exploration)
+        bounds = upper_bound(visits, totals[:, 1], at_node, self.exploration)
         score = jnp.where(visits > 0.0, bounds, self.score_unvisited(at_node))
         return jnp.argmax(jnp.where(rules.for_actions <= at_node, score, -jnp.inf)).astype(jnp.int32)
 

@@ -134,7 +134,10 @@ class ContinuousBeliefTreeSearch(
 
     @override
     def search(self, key: Key[Array, ""], problem: PathProblem, belief: Belief) -> tuple[Tree, NodeModels]:
-        """The tree and the planner's memory after all iterations; on a GPU, a kernel may find them."""
+        """The tree and the planner's memory after all iterations; on a GPU, a kernel may find them.
+
+        Rows of nodes that the root does not lead to are undefined.
+        """
         by_xla = super().search
         if type(self) is not ContinuousBeliefTreeSearch or not cbts_kernel.is_used(self, problem):
             return by_xla(key, problem, belief)

@@ -1,10 +1,10 @@
 """The search of CBTS (Algorithms 3 and 4) as one kernel, for problems whose outcome a kernel can compute.
 
 As a program of XLA, an iteration of the search is some 33 kernels, each of which waits for the one before.
-Here a lane is one program of a kernel, with the loop over the iterations inside. The tree lies in the results
-of the kernel, which the caches of the GPU hold; what depends on no reward is computed before: the random
-numbers, the paths of the candidates and their covariances. The planner and the problem inside the kernel are
-those of the program of XLA, with their own numbers in each lane, and so is the tree, up to rounding.
+Here a lane is one program of a kernel, with the loop over the iterations inside, which reads and writes the
+tree in the memory of the GPU. What depends on no reward is computed before: the random numbers, the paths of
+the candidates and their covariances. The kernel calls the planner and the problem of its lane, as the program
+of XLA does. Both find the same tree, unless rounding decides between two actions.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,20 +19,20 @@ from jaxtyping import Array, Bool, Float, Int
 from bojax.acquisition.functions import UpperConfidenceBound
 from bojax.motions.base import Poses, placed
 from bojax.numerics.linalg import noise_floor
-from bojax.numerics.pallas import barrier, imported, kernels_run_here, launch
+from bojax.numerics.pallas import barrier, imported, kernels_run_here, launch, power_of_two
 from bojax.planning.search import return_of
-from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound_of
+from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound
 from bojax.problems.path_problem import PathProblem
 from bojax.problems.pose import PoseProblem
 
 WARPS = 1
 """Warps of a lane.
 
-On an H200, 200 plans in float64 take 3.6 ms with one, and 4.5 with two or four; 1,000 take 6.1, 7.2 and 10.1.
+On an H200, 200 plans in float64 take 3.6 ms with one warp and 4.5 with two, and 1,000 take 6.1 and 7.2.
 """
 
 ENTRIES = {4: 1024, 8: 256}
-"""How many whitened covariances a lane reads at once, by the bytes of a number."""
+"""How many whitened covariances a lane reads at once, by the size of a number in bytes."""
 
 X, Y, HEADING, REWARD, IS_OVER, VISITS, RETURN, HAS_CONVERGED, IS_FULL, PARAMS = map(np.int32, range(10))
 """Columns of `Rows.numbers`. All indices are explicitly 32-bit: in JAX's 64-bit mode, others are 64-bit."""
@@ -46,6 +46,7 @@ def is_used(planner: Any, problem: PathProblem) -> bool:
         kernels_run_here()
         and isinstance(problem, PoseProblem)
         and vars(type(problem)).get("runs_in_kernels", False)
+        and all(jnp.ndim(value) == 0 for value in vars(problem).values() if eqx.is_array(value))
         and type(planner.acquisition) is UpperConfidenceBound
         and planner.refine_steps == 0
         and 2 <= planner.depth <= 6
@@ -86,8 +87,8 @@ def search(
     (_, samples, _), dtype = memory.paths.shape, memory.paths.dtype
     # Arrays of a kernel have powers of two as sizes. Further poses repeat the first of a path, so that the
     # last one remains the last.
-    more, actions = _power_of_two(number) - number, _power_of_two(num_actions)
-    paths = jnp.pad(memory.paths, ((0, more), (_power_of_two(samples) - samples, 0), (0, 0)), mode="edge")
+    more, actions = power_of_two(number) - number, power_of_two(num_actions)
+    paths = jnp.pad(memory.paths, ((0, more), (power_of_two(samples) - samples, 0), (0, 0)), mode="edge")
     covariances = planner.kernel.gram(memory.candidates, memory.candidates)
     given = Given(
         start=start,
@@ -177,7 +178,7 @@ class _Search(NamedTuple):
         exists = children != UNVISITED
         visits = jnp.where(exists, self.rows.numbers[children, VISITS], 0.0)
         at_node, returns = self.rows.numbers[node, VISITS], self.rows.numbers[children, RETURN]
-        bounds = upper_bound_of(visits, returns, at_node, self.planner.exploration)
+        bounds = upper_bound(visits, returns, at_node, self.planner.exploration)
         return self.rows.children[node, _first_maximum(bounds)]
 
     def expand(self, i: Int[Array, ""], node: Int[Array, ""], level: Int[Array, ""]) -> None:
@@ -310,10 +311,6 @@ def _numbers_of(tree: Any) -> tuple[list[Array], Callable[[Sequence[Array]], Any
     rest = eqx.filter(rest, eqx.is_array, inverse=True)
     leaves, structure = jax.tree.flatten(numbers)
     return leaves, lambda given: eqx.combine(jax.tree.unflatten(structure, given), rest)
-
-
-def _power_of_two(number: int) -> int:
-    return 1 << (number - 1).bit_length()
 
 
 def _first_maximum(scores: Float[Array, "K"]) -> Int[Array, ""]:

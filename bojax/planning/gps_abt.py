@@ -242,7 +242,7 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
 
             # The best action on the way by upper confidence bound, if this node neither adds nor refines one;
             # and the most visited of the best points, which is the plan at the root.
-            bound = upper_bound(totals, visits_of_node, self.exploration)
+            bound = upper_bound(visits, totals[:, 1], visits_of_node, self.exploration)
             highest = jnp.argmax(bound)
             is_higher = is_walking & (bound[highest] > descent.best_bound)
             best = jnp.argmax(mean).astype(jnp.int32)

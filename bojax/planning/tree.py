@@ -196,23 +196,16 @@ def mean_return(visits: Float[Array, "*K"], returns: Float[Array, "*K"]) -> Floa
 
 
 def upper_bound(
-    totals: Float[Array, "*K T"], at_node: Float[Array, ""], exploration: Float[Array, ""]
+    visits: Float[Array, "*K"],
+    returns: Float[Array, "*K"],
+    at_node: Float[Array, ""],
+    exploration: Float[Array, ""],
 ) -> Float[Array, "*K"]:
     """UCT (4.1) of the actions of a node with `at_node` visits; minus infinity for actions without a visit.
 
     It is the mean return plus `exploration` sqrt(ln n_p / n_i). The factor 2 under the square root in
     Algorithm 2 is absorbed by `exploration`.
     """
-    return upper_bound_of(totals[..., 0], totals[..., 1], at_node, exploration)
-
-
-def upper_bound_of(
-    visits: Float[Array, "*K"],
-    returns: Float[Array, "*K"],
-    at_node: Float[Array, ""],
-    exploration: Float[Array, ""],
-) -> Float[Array, "*K"]:
-    """`upper_bound` of actions, from their visits and their sums of returns."""
     bonus = exploration * jnp.sqrt(jnp.log(jnp.maximum(at_node, 1.0)) / jnp.maximum(visits, 1.0))
     return mean_return(visits, returns) + bonus
 
@@ -230,7 +223,8 @@ def best_by_mean(tree: Tree) -> Int[Array, ""]:
 def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""]) -> Int[Array, ""]:
     """Child of `node` with the highest `upper_bound`, where every action has one branch."""
     children = tree.children[node]
-    bounds = upper_bound(tree.totals_of(children), tree.totals[node][0], exploration)
+    totals = tree.totals_of(children)
+    bounds = upper_bound(totals[:, 0], totals[:, 1], tree.totals[node][0], exploration)
     return children[jnp.argmax(bounds)]
 
 

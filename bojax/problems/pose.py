@@ -48,7 +48,8 @@ class PoseProblem(PathProblem):
 
     Attributes:
         runs_in_kernels: Whether `outcome` also takes `Poses`, and can be computed in a kernel of Pallas, as
-            `bojax.planning.cbts_kernel` does. A subclass has to say so again.
+            `bojax.planning.cbts_kernel` does. There, the first pose of a path may be repeated, so that sums
+            over the poses are wrong. A subclass has to say so again.
     """
 
     runs_in_kernels: ClassVar[bool] = False
