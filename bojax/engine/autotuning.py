@@ -121,7 +121,7 @@ class Choices:
                     published = set(self._published)
                 publish_checked_json(path, {"program": content, "choices": measured(published)})
             return str(read_checked_json(path)["program"])
-        except ResultsError:
+        except (ResultsError, FileNotFoundError):
             if self.folder.parent.exists():
                 raise
             return content

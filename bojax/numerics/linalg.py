@@ -280,7 +280,7 @@ def _eliminated_by_blocks(a: Float[Array, "N N"]) -> Callable[[Float[Array, "N K
     # systems with 500 unknowns took 10.3 ms on an H200, and 45 took 4.0; this takes 5.6 and 2.8, with blocks
     # of 64 columns in place of 128 4.9 and 2.6, and cuSOLVER's LU factors 18.9 and 13.0.
     n, product = a.shape[0], matmul_on_tensor_cores
-    block = 64 * -(-n // 320)  # five steps or fewer, as each takes about a second to compile
+    block = min(n, 64 * -(-n // 320))  # five steps or fewer, since each is code of its own
     number = -(-n // block)
     padding = number * block - n
     # Rows and columns of the identity fill the last block.

@@ -98,9 +98,9 @@ def plan_routes(
     Args:
         posterior: Belief about the field, of positions in metres.
         area: Area to survey.
-        budget: Maximum length of all routes, or of each robot's, m.
-        starts: Fixed start of each robot, m; None for a free one.
-        ends: Fixed end of each robot, m; None for a free one.
+        budget: Maximum length of all routes, or of each robot's, m: enough for the way between fixed ends.
+        starts: Fixed start of each robot in the area, m; None for a free one.
+        ends: Fixed end of each robot in the area, m; None for a free one.
         first_guesses: Waypoints of the routes of all robots by name, such as lawnmowers. They are brought to
             the fixed ends, and cut at the budget if the end is free.
         key: Random key of the tours.

@@ -155,6 +155,14 @@ class DeclaredParking(OtherParking):
     runs_in_kernels = True
 
 
+class WalledParking(OtherParking):
+    """A problem that says so although its outcome depends on an array."""
+
+    runs_in_kernels = True
+
+    walls: jax.Array
+
+
 def test_other_searches_are_programs_of_xla(kernels):
     planner, problem = kcbts(), parking()
     assert not cbts_kernel.is_used(planner, problem)
@@ -165,6 +173,8 @@ def test_other_searches_are_programs_of_xla(kernels):
     assert not cbts_kernel.is_used(planner, monitoring())
     assert not cbts_kernel.is_used(planner, remade(OtherParking, problem))
     assert cbts_kernel.is_used(planner, remade(DeclaredParking, problem))
+    walled = WalledParking(**vars(problem), walls=jnp.zeros(2))  # a kernel has no arrays of the problem
+    assert not cbts_kernel.is_used(planner, walled)
     other, key = remade(Subclass, planner), jax.random.key(0)
     eqx.filter_eval_shape(other.search, key, problem, f64(POSES["far"]))
     assert used == []
