@@ -17,8 +17,9 @@ from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.refit_equations import Equations
 from bojax.learning.refit_policy import Candidates, Policy, quadratic_forms
 from bojax.learning.refit_rows import Transitions, largest_block
-from bojax.numerics.lanes import any_lane, batched_together
+from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import matmul, row_sums
+from bojax.numerics.stragglers import while_going
 
 
 class Refit(eqx.Module):
@@ -144,9 +145,9 @@ class Refit(eqx.Module):
         # policies are equal, and rounding would decide which is returned. They end an irregular iteration
         # only: `growths` counts how often the weights changed no less than with the policy before.
 
-        # All lanes take all steps together, each at Q or at U (`is_u`). One loop with masks serves both: two
-        # loops would wait for the slowest lane twice, and compile the step twice.
-        def step(loop):
+        # All lanes take all steps together, each at Q or at U (`is_u`), until the few with most policies are
+        # gathered. One loop with masks serves both: two loops would wait for the slowest lane twice.
+        def step(_, loop):
             number, mean, change, growths, equations, seen, is_u, going = loop
             # Lanes that have ended visit no transitions, so that passes are as short as those of the others.
             count = jnp.where(going, transitions.state.memory.count, 0)
@@ -175,8 +176,7 @@ class Refit(eqx.Module):
         equations = Equations.empty(self.model, transitions.state)
         seen = jnp.zeros((self.max_sweeps, 2), jnp.uint32)
         loop = zero, mean, infinite, zero, equations, seen, no, is_active
-        loop = batched_together(loop)
-        return jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)[1]
+        return while_going(lambda loop: loop[-1], step, loop)[1]
 
     def _swept_u(
         self,

@@ -9,9 +9,8 @@ from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.memory import Memory
 from bojax.learning.refit_policy import Candidates, Policy
 from bojax.learning.refit_rows import features_of
-from bojax.numerics.lanes import batched_together, largest_in_lanes
+from bojax.numerics.lanes import any_lane, batched_together, largest_in_lanes
 from bojax.numerics.linalg import matmul, matmul_on_tensor_cores, solve_large
-from bojax.numerics.stragglers import while_going
 
 CHANGED, CHANGED_ON_CPU = 512, 128
 """Number of changed transitions that are added to the equations at a time."""
@@ -89,17 +88,12 @@ class Equations(eqx.Module):
 
     def solved(self, is_active: Bool[Array, ""]) -> "Equations":
         """The equations with their solutions; those of lanes that are not active may be left out."""
-
-        # A loop of one step in place of a branch: if only a few lanes have equations to solve, `while_going`
-        # solves those alone.
-        def step(_, loop):
-            solutions, is_left = loop
-            return jnp.where(is_left, solve_large(self.matrix, self.constants), solutions), jnp.zeros_like(
-                is_left
-            )
-
         is_left = is_active & ~self.is_solved
-        solutions, _ = while_going(lambda loop: loop[1], step, (self.solutions, is_left))
+        solutions = jax.lax.cond(
+            any_lane(is_left),
+            lambda: jnp.where(is_left, solve_large(self.matrix, self.constants), self.solutions),
+            lambda: self.solutions,
+        )
         where = lambda equations: (equations.is_solved, equations.solutions)  # noqa: E731
         return eqx.tree_at(where, self, (self.is_solved | is_left, solutions))
 
