@@ -16,6 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from bojax.envs import lander_geometry as geometry
 from bojax.envs.lander_geometry import TIME_STEP
 from bojax.numerics.lanes import batched_together
+from bojax.numerics.pallas import either, kernels_run_here
+from bojax.robots.kernel.scalar_kernel import ScalarKernel
 
 _REST, _FOLDED, _HULL = geometry.lander(geometry.LEG_REST), geometry.lander(0.0), geometry.hull()
 _MASS, _INERTIA, _CENTRE = _REST.mass, _REST.inertia, float(_REST.centre[1])
@@ -150,18 +152,9 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
     # Box2D's order: gravity, then contact impulses by sweeps over the feet, each given the current others
     # (sequential impulses), then positions by the new velocities (semi-implicit Euler).
     feet = _feet(state)
-    right, left = (jax.tree.map(lambda x, side=side: x[side], feet) for side in range(2))
-
-    def sweep(_: Array, carry: tuple[_Motion, Array, Array]) -> tuple[_Motion, Array, Array]:
-        motion, first, second = carry
-        motion, first = right.solve(motion, first)
-        motion, second = left.solve(motion, second)
-        return motion, first, second
-
-    nothing = jnp.zeros_like(state.position, shape=(3,))
     falling = _Motion(state.velocity.at[1].add(-gravity * TIME_STEP), state.spin)
-    start = batched_together((falling, nothing, nothing))
-    motion, _, _ = jax.lax.fori_loop(0, _SWEEPS, sweep, start)
+    motion = after_impulses(falling, feet)
+    right, left = _each(feet)
     rates = jnp.stack([right.joint_rate(motion), left.joint_rate(motion)])
     is_slow = (jnp.sum(motion.velocity**2) < _SLOW**2) & (jnp.abs(motion.spin) < _SLOW_SPIN)
     return LanderState(
@@ -174,6 +167,35 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
         num_still=jnp.where(is_slow, state.num_still + 1, jnp.zeros_like(state.num_still)),
         terrain=state.terrain,
     )
+
+
+def after_impulses(falling: "_Motion", feet: "_Foot") -> "_Motion":
+    """The motion after the impulses of the ground."""
+    # In a program of XLA, the sweeps are some 250 kernels of a GPU, most of those of a step.
+    leaves, structure = jax.tree.flatten((falling, feet))
+
+    def by_kernel(*leaves: Array) -> _Motion:
+        given = structure.unflatten(leaves)
+        return ScalarKernel(_swept, *given, name="lander_sweeps")(*given)
+
+    return either(
+        kernels_run_here(), by_kernel, lambda *leaves: _swept(*structure.unflatten(leaves)), *leaves
+    )
+
+
+def _swept(motion: "_Motion", feet: "_Foot") -> "_Motion":
+    """The motion after sweeps over the impulses of both feet, without a kernel."""
+    right, left = _each(feet)
+
+    def sweep(_: Array, carry: tuple[_Motion, Array, Array]) -> tuple[_Motion, Array, Array]:
+        motion, first, second = carry
+        motion, first = right.solve(motion, first)
+        motion, second = left.solve(motion, second)
+        return motion, first, second
+
+    nothing = jnp.zeros_like(motion.velocity, shape=(3,))
+    start = batched_together((motion, nothing, nothing))
+    return jax.lax.fori_loop(0, _SWEEPS, sweep, start)[0]
 
 
 class _Motion(eqx.Module):
@@ -286,6 +308,12 @@ def _feet(state: LanderState) -> _Foot:
         slowest=jnp.maximum((geometry.LEG_REST - state.legs) / TIME_STEP, -_MOTOR_SPEED),
         fastest=(geometry.LEG_STOP - state.legs) / TIME_STEP,
     )
+
+
+def _each(feet: _Foot) -> tuple[_Foot, _Foot]:
+    """The right and the left foot of a batch of both."""
+    right, left = (jax.tree.map(lambda x, side=side: x[side], feet) for side in range(2))
+    return right, left
 
 
 def _effective_mass(arm: Float[Array, "2"], direction: Float[Array, "2"]) -> Float[Array, ""]:

@@ -168,7 +168,10 @@ class BayesianLinearRegression(eqx.Module):
         products = matmul_on_tensor_cores(features, self.base)
         variances, product = jnp.sum(features * products, axis=1), products[0]
         if len(self.rows):
-            shares = matmul_on_tensor_cores(features, self.rows.T)
+            # Of two products with the same features, XLA would make one on a GPU, with `base` and `rows`
+            # copied into one matrix in each step.
+            again = jax.lax.optimization_barrier(features)
+            shares = matmul_on_tensor_cores(again, self.rows.T)
             variances = variances - jnp.sum(shares * shares, axis=1)
             product = product - matmul(shares[0], self.rows)
         return variances, product

@@ -372,3 +372,39 @@ def test_noise_scales_with_its_settings():
     np.testing.assert_allclose(spread(dispersion=0.0), 0.0, atol=1e-12)
     half, whole = (spread(dispersion=share, side_power=0.0) for share in (0.5, 1.0))
     np.testing.assert_allclose(half, 0.5 * whole, rtol=0.02)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_contacts_as_a_kernel_are_those_of_xla(dtype, monkeypatch):
+    """The kernel of a GPU, interpreted, for landers above, on and in the ground, with legs at all angles."""
+    rng, number = np.random.default_rng(0), 32
+
+    def drawn(low, high, *shape):
+        return jnp.asarray(rng.uniform(low, high, (number, *shape)), dtype)
+
+    states = jax.vmap(LanderState)(
+        jnp.stack([drawn(2.0, 18.0), drawn(3.5, 6.0)], axis=1),
+        drawn(-1.0, 1.0),
+        drawn(-3.0, 3.0, 2),
+        drawn(-2.0, 2.0),
+        drawn(-0.4, 0.9, 2),
+        jnp.zeros((number, 2), bool),
+        jnp.zeros(number, jnp.int32),
+        drawn(2.0, 5.0, 11),
+    )
+
+    def stepped(is_kernel):
+        monkeypatch.setattr(
+            lander_dynamics, "either", lambda _, *ways_and_args: either(is_kernel, *ways_and_args)
+        )
+        return jax.jit(jax.vmap(lambda state: lander_dynamics.step(state, jnp.asarray(10.0, dtype))))(states)
+
+    def either(is_kernel, kernel, otherwise, *args):
+        return (kernel if is_kernel else otherwise)(*args)
+
+    found, expected = stepped(True), stepped(False)
+    pushed = np.asarray(expected.velocity) - np.asarray(states.velocity) + [0.0, 0.2]
+    assert np.mean(np.abs(pushed).max(axis=1) > 0.1) > 0.3  # the ground pushes many
+    tolerance = 1e-5 if dtype == "float32" else 1e-12
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, atol=tolerance, rtol=tolerance)

@@ -7,12 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bojax.numerics.pallas import imported, launch
-from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
+from bojax.robots.kernel.scalar_kernel import ScalarKernel
+from bojax.robots.kernel.scalars import NotScalar
 from bojax.robots.models import MjModel
-
-_MOST_SCALARS = 40_000
-"""Maximum number of scalars of a kernel; the hopper has 11,000, which Triton compiles in 4 s."""
 
 
 class KernelSteps:
@@ -20,8 +17,7 @@ class KernelSteps:
 
     In a program of XLA, a step of 256 hoppers by RK4 is 475 kernels of 1.6 us each on an H200. Here a call,
     with all of its substeps, is one kernel: steps are 5.5 times as fast with 256 lanes, and 3.1 times with
-    2,048. A lane has a warp of its own, since Triton compiles scalars in seconds but vectors of 32 lanes in
-    minutes.
+    2,048.
 
     Args:
         model: The compiled model.
@@ -37,7 +33,7 @@ class KernelSteps:
         sizes = model.nq, model.nv, model.nv, model.nu
         state = (jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes)
         try:
-            self._program = ScalarProgram(steps, *state, most=_MOST_SCALARS)
+            self._kernel = ScalarKernel(steps, *state, name="mjx_steps")
         except NotScalar as error:
             refused = f"a kernel cannot simulate the model ({error})"
             raise ValueError(f'physics.impl: got "pallas"; {refused}; use "jax"') from error
@@ -50,19 +46,4 @@ class KernelSteps:
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
         """The state of every lane after the steps, in the order of `RobotState`."""
-        program = self._program
-        pallas, _ = imported()
-
-        # A program reads the numbers of its lane one by one, as scalars, and so it writes the results.
-        def kernel(*refs: Any) -> None:
-            lane = pallas.program_id(0)
-            before, after = refs[:-3], refs[-3:]
-            values = program([ref[lane, i] for ref in before for i in range(ref.shape[1])])
-            for ref in after:
-                for i in range(ref.shape[1]):
-                    ref[lane, i] = values.pop(0)
-
-        results = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in (qpos, qvel, qacc_warmstart)]
-        given = [qpos, qvel, qacc_warmstart, *([control] if control.shape[1] else [])]
-        qpos, qvel, qacc_warmstart = launch(kernel, results, *given, name="mjx_steps", grid=(len(qpos),))
-        return qpos, qvel, qacc_warmstart
+        return tuple(jax.tree.leaves(jax.vmap(self._kernel)(qpos, qvel, qacc_warmstart, control)))

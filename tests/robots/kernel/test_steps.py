@@ -6,10 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-import bojax.robots.kernel.steps
 import bojax.robots.simulator
 from bojax.engine.build import build
 from bojax.numerics.third_party import standard_jax
+from bojax.robots.kernel import scalar_kernel
 from bojax.robots.models import RobotModel, packaged
 from bojax.robots.newton import search_at_ends
 from bojax.robots.settings import MJX
@@ -109,7 +109,7 @@ def test_a_kernel_is_c_mujoco(name):
 
 def test_a_model_that_is_too_large_is_refused(monkeypatch):
     steps("pendulum")  # kept, so that the limit does not apply to it
-    monkeypatch.setattr(bojax.robots.kernel.steps, "_MOST_SCALARS", 100)
+    monkeypatch.setattr(scalar_kernel, "MOST_SCALARS", 100)
     with pytest.raises(
         ValueError, match='got "pallas"; a kernel cannot simulate the model .too many scalars'
     ):
