@@ -171,16 +171,12 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
 
 def after_impulses(falling: "_Motion", feet: "_Foot") -> "_Motion":
     """The motion after the impulses of the ground."""
+
     # In a program of XLA, the sweeps are some 250 kernels of a GPU, most of those of a step.
-    leaves, structure = jax.tree.flatten((falling, feet))
+    def by_kernel(falling: _Motion, feet: _Foot) -> _Motion:
+        return ScalarKernel(_swept, falling, feet, name="lander_sweeps")(falling, feet)
 
-    def by_kernel(*leaves: Array) -> _Motion:
-        given = structure.unflatten(leaves)
-        return ScalarKernel(_swept, *given, name="lander_sweeps")(*given)
-
-    return either(
-        kernels_run_here(), by_kernel, lambda *leaves: _swept(*structure.unflatten(leaves)), *leaves
-    )
+    return either(kernels_run_here(), by_kernel, _swept, falling, feet)
 
 
 def _swept(motion: "_Motion", feet: "_Foot") -> "_Motion":

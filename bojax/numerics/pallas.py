@@ -39,8 +39,8 @@ def builds_for_another_machine() -> bool:
     return _is_elsewhere.get()
 
 
-def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T], *args: jax.Array) -> T:
-    """`kernel(*args)` if `is_kernel`, else `otherwise(*args)`, as on the host's CPU."""
+def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T], *args: Any) -> T:
+    """`kernel(*args)` if `is_kernel`, else `otherwise(*args)`, as on the host's CPU, for trees of arrays."""
     if not is_kernel:
         return otherwise(*args)
     return jax.lax.platform_dependent(*args, cuda=kernel, default=otherwise)
