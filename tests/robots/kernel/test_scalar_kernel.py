@@ -18,7 +18,7 @@ from bojax.robots.simulator import (
     RobotState,
     Simulator,
     _can_be_a_kernel,
-    _in_lanes,
+    _compiled,
     _kernel_steps,
     _steps_of,
 )
@@ -58,7 +58,7 @@ def steps(name):
 
 def driven(name):
     """Random states and controls."""
-    model, rng = steps(name).model, np.random.default_rng(0)
+    model, rng = _compiled(ConfiguredModel(MODELS[name])), np.random.default_rng(0)
     low, high = model.actuator_ctrlrange.T
     qpos = model.qpos0 + rng.uniform(-0.3, 0.3, (LANES, model.nq))
     arrays = qpos, rng.normal(size=(LANES, model.nv)), rng.uniform(low, high, (STEPS, LANES, model.nu))
@@ -76,7 +76,7 @@ def scanned(advance, qpos, qvel, controls):
 @pytest.mark.parametrize("name", by_tier(MODELS, normal=["pendulum"]))
 def test_a_kernel_is_xlas_program(name):
     arrays = driven(name)
-    found = scanned(_in_lanes(steps(name)), *arrays)
+    found = scanned(standard_jax(steps(name)), *arrays)
     expected = scanned(_steps_of(ConfiguredModel(MODELS[name]), SUBSTEPS, search_at_ends), *arrays)
     np.testing.assert_allclose(found.qpos, expected.qpos, atol=1e-5)
     np.testing.assert_allclose(found.qvel, expected.qvel, rtol=1e-3, atol=1e-3)
@@ -86,7 +86,7 @@ def test_a_kernel_is_xlas_program(name):
 @pytest.mark.parametrize("name", by_tier(["jaco", "quadrotor"], normal=["quadrotor"]))
 def test_a_kernel_is_c_mujoco(name):
     """After one step and after twenty; `test_simulator` compares XLA's program in the same way."""
-    advance = _in_lanes(_kernel_steps(ConfiguredModel(test_simulator.MODELS[name]), 1))
+    advance = standard_jax(_kernel_steps(ConfiguredModel(test_simulator.MODELS[name]), 1))
 
     def lane(qpos, qvel, controls):
         def step(state, control):
@@ -127,6 +127,7 @@ def test_a_kernel_needs_a_gpu(monkeypatch):
 def test_kernels_are_lowered_for_a_gpu(monkeypatch):
     """Triton's program is made on any machine, and compiled on a GPU."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    state = [jax.ShapeDtypeStruct((LANES, size), np.float32) for size in (2, 2, 2, 1)]
-    traced = jax.jit(standard_jax(steps("pendulum"))).trace(*state)
+    qpos, qvel, control = (jax.ShapeDtypeStruct((LANES, size), np.float32) for size in (2, 2, 1))
+    state = jax.eval_shape(jax.vmap(RobotState), qpos, qvel, qvel)
+    traced = jax.jit(jax.vmap(standard_jax(steps("pendulum")))).trace(state, control)
     assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()
