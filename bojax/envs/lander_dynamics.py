@@ -172,7 +172,7 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
 def after_impulses(falling: "_Motion", feet: "_Foot") -> "_Motion":
     """The motion after the impulses of the ground."""
 
-    # In a program of XLA, the sweeps are some 250 kernels of a GPU, most of those of a step.
+    # In a program of XLA, the sweeps are most of the kernels of a step on a GPU.
     def by_kernel(falling: _Motion, feet: _Foot) -> _Motion:
         return ScalarKernel(_swept, falling, feet, name="lander_sweeps")(falling, feet)
 

@@ -146,7 +146,8 @@ class Refit(eqx.Module):
         # only: `growths` counts how often the weights changed no less than with the policy before.
 
         # All lanes take all steps together, each at Q or at U (`is_u`), until the few with most policies are
-        # gathered. One loop with masks serves both: two loops would wait for the slowest lane twice.
+        # gathered. One loop with masks serves both: two loops would wait for the slowest lane twice. Lanes
+        # that have ended keep their means, and nothing else of them is read afterwards.
         def step(_, loop):
             number, mean, change, growths, equations, seen, is_u, going = loop
             # Lanes that have ended visit no transitions, so that passes are as short as those of the others.

@@ -35,7 +35,8 @@ def while_going(
 
     Args:
         is_going: Whether a lane goes on.
-        step: The step. It must leave the state of a lane that is not going unchanged.
+        step: The step. A lane that is not going must not go on again, and the step must leave what the caller
+            reads of its state unchanged.
         state: First state.
 
     Returns:

@@ -87,7 +87,7 @@ def search_at_ends(line: Line) -> Float[Array, ""]:
 def search_by_points(line: Line) -> Float[Array, ""]:
     """The minimum of a line, by Newton's method for the root of the derivative, in a bracket.
 
-    In a kernel with a thread for each lane, steps are two to three times as fast as with `search_at_ends`.
+    In a kernel with a warp for each lane, steps are two to three times as fast as with `search_at_ends`.
     """
 
     # Most often the whole step is the minimum, and this is known after one point: Newton's step from there

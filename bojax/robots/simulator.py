@@ -212,10 +212,8 @@ def _kernel_steps(configured: ConfiguredModel, substeps: int) -> ScalarKernel:
     """
     model = _compiled(configured)
     qpos, qvel, control = (jax.ShapeDtypeStruct((n,), jnp.float32) for n in (model.nq, model.nv, model.nu))
-    state, advance = (
-        jax.eval_shape(RobotState, qpos, qvel, qvel),
-        _steps_of(configured, substeps, search_by_points),
-    )
+    state = jax.eval_shape(RobotState, qpos, qvel, qvel)
+    advance = _steps_of(configured, substeps, search_by_points)
     try:
         return ScalarKernel(advance, state, control, name="mjx_steps")
     except NotScalar as error:
@@ -260,7 +258,7 @@ def _locating(model: RobotModel) -> Any:
 
 
 def _in_lanes(steps: Callable[..., tuple[jax.Array, ...]]) -> Any:
-    """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`.
+    """Steps of C MuJoCo for a single robot; under any number of `vmap`s, all lanes are one call of `steps`.
 
     Its arguments are positions, velocities, initial accelerations and controls, with an axis of lanes; its
     results are the first three after the steps.

@@ -324,14 +324,17 @@ def test_refits_of_a_batch_are_those_of_single_runs():
     sizes = rng.choice([0.0, 3.0], LEAST, p=[0.9, 0.1])
     means = jnp.asarray(sizes[:, None, None] * rng.normal(size=(LEAST, 30, 2)))
 
-    def refitted(mean):
-        before = eqx.tree_at(lambda state: state.posterior.mean, state, mean)
-        return learner.refitter(jax.random.key(REFIT_SEED), before, jnp.asarray(1.0), jnp.asarray(True))
+    is_active = jnp.asarray(rng.random(LEAST) < 0.9)
 
-    each = jax.jit(lambda means: jax.lax.map(refitted, means))
-    alone = each(means)
-    together = jax.jit(jax.vmap(refitted, axis_name=LANES))(means)
+    def refitted(given):
+        mean, is_active = given
+        before = eqx.tree_at(lambda state: state.posterior.mean, state, mean)
+        return learner.refitter(jax.random.key(REFIT_SEED), before, jnp.asarray(1.0), is_active)
+
+    alone = jax.jit(lambda given: jax.lax.map(refitted, given))((means, is_active))
+    together = jax.jit(jax.vmap(refitted, axis_name=LANES))((means, is_active))
     np.testing.assert_allclose(together, alone, atol=1e-8)
+    np.testing.assert_array_equal(together[~is_active], means[~is_active])
 
 
 @pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["direct"]))

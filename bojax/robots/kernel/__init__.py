@@ -1,1 +1,4 @@
-"""Steps of MJX as one kernel on a GPU, and small matrices without a library: see docs/robot-simulation.md."""
+"""Functions of small arrays, such as steps of MJX, as one kernel on a GPU; small matrices without a library.
+
+See docs/robot-simulation.md.
+"""

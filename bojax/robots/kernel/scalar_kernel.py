@@ -1,4 +1,4 @@
-"""Functions of small arrays as one kernel on a GPU, with a thread for each lane."""
+"""Functions of small arrays as one kernel on a GPU, with a warp for each lane."""
 
 import math
 from collections.abc import Callable
@@ -29,10 +29,12 @@ class ScalarKernel:
 
     def __init__(self, function: Callable[..., Any], *examples: Any, name: str):
         self._program, self._name = ScalarProgram(function, *examples, most=MOST_SCALARS), name
-        self._results = jax.eval_shape(function, *examples)
+        self._examples, self._results = examples, jax.eval_shape(function, *examples)
 
     def __call__(self, *arguments: Any) -> Any:
         """The results of a single lane; `vmap` adds lanes."""
+        shapes = jax.tree.map(lambda x: (x.shape, x.dtype), (arguments, self._examples))
+        assert shapes[0] == shapes[1], "a kernel is a program for arrays of these shapes and dtypes"
         arrays = [array.reshape(-1) for array in jax.tree.leaves(arguments) if array.size]
         shapes, structure = jax.tree.flatten(self._results)
 

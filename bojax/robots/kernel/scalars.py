@@ -1,4 +1,4 @@
-"""Compile functions of small arrays into scalar programs, for kernels with one thread per lane.
+"""Compile functions of small arrays into scalar programs, for kernels with one warp per lane.
 
 A function is traced for a single lane, and its arrays are taken apart into elements. Operations that only
 move elements disappear, products with a known 0 too, and equal operations are computed once. Thousands of
