@@ -156,8 +156,7 @@ class BayesianLinearRegression(eqx.Module):
         """The product of the covariance with each feature vector."""
         product = matmul_on_tensor_cores(features, self.base)
         if len(self.rows):
-            shares = matmul_on_tensor_cores(features, self.rows.T)
-            product = product - matmul_on_tensor_cores(shares, self.rows)
+            product = product - matmul_on_tensor_cores(self._shares(features), self.rows)
         return product
 
     def variances_and_product(
@@ -168,13 +167,16 @@ class BayesianLinearRegression(eqx.Module):
         products = matmul_on_tensor_cores(features, self.base)
         variances, product = jnp.sum(features * products, axis=1), products[0]
         if len(self.rows):
-            # Of two products with the same features, XLA would make one on a GPU, with `base` and `rows`
-            # copied into one matrix in each step.
-            again = jax.lax.optimization_barrier(features)
-            shares = matmul_on_tensor_cores(again, self.rows.T)
+            shares = self._shares(features)
             variances = variances - jnp.sum(shares * shares, axis=1)
             product = product - matmul(shares[0], self.rows)
         return variances, product
+
+    def _shares(self, features: Float[Array, "*N M"]) -> Float[Array, "*N B"]:
+        """The products of feature vectors with the rows of the block."""
+        # Of two products with the same features, XLA would make one on a GPU, with `base` and `rows` copied
+        # into one matrix in each step.
+        return matmul_on_tensor_cores(jax.lax.optimization_barrier(features), self.rows.T)
 
     def row(
         self,
