@@ -153,8 +153,8 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
     # (sequential impulses), then positions by the new velocities (semi-implicit Euler).
     feet = _feet(state)
     falling = _Motion(state.velocity.at[1].add(-gravity * TIME_STEP), state.spin)
-    motion = after_impulses(falling, feet)
-    right, left = _each(feet)
+    motion = _after_contacts(falling, feet)
+    right, left = _right_and_left(feet)
     rates = jnp.stack([right.joint_rate(motion), left.joint_rate(motion)])
     is_slow = (jnp.sum(motion.velocity**2) < _SLOW**2) & (jnp.abs(motion.spin) < _SLOW_SPIN)
     return LanderState(
@@ -169,19 +169,19 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
     )
 
 
-def after_impulses(falling: "_Motion", feet: "_Foot") -> "_Motion":
+def _after_contacts(falling: "_Motion", feet: "_Foot") -> "_Motion":
     """The motion after the impulses of the ground."""
 
     # In a program of XLA, the sweeps are most of the kernels of a step on a GPU.
     def by_kernel(falling: _Motion, feet: _Foot) -> _Motion:
-        return ScalarKernel(_swept, falling, feet, name="lander_sweeps")(falling, feet)
+        return ScalarKernel(_after_sweeps, falling, feet, name="lander_sweeps")(falling, feet)
 
-    return either(kernels_run_here(), by_kernel, _swept, falling, feet)
+    return either(kernels_run_here(), by_kernel, _after_sweeps, falling, feet)
 
 
-def _swept(motion: "_Motion", feet: "_Foot") -> "_Motion":
+def _after_sweeps(motion: "_Motion", feet: "_Foot") -> "_Motion":
     """The motion after sweeps over the impulses of both feet, without a kernel."""
-    right, left = _each(feet)
+    right, left = _right_and_left(feet)
 
     def sweep(_: Array, carry: tuple[_Motion, Array, Array]) -> tuple[_Motion, Array, Array]:
         motion, first, second = carry
@@ -306,7 +306,7 @@ def _feet(state: LanderState) -> _Foot:
     )
 
 
-def _each(feet: _Foot) -> tuple[_Foot, _Foot]:
+def _right_and_left(feet: _Foot) -> tuple[_Foot, _Foot]:
     """The right and the left foot of a batch of both."""
     right, left = (jax.tree.map(lambda x, side=side: x[side], feet) for side in range(2))
     return right, left

@@ -33,8 +33,10 @@ class ScalarKernel:
 
     def __call__(self, *arguments: Any) -> Any:
         """The results of a single lane; `vmap` adds lanes."""
-        shapes = jax.tree.map(lambda x: (x.shape, x.dtype), (arguments, self._examples))
-        assert shapes[0] == shapes[1], "a kernel is a program for arrays of these shapes and dtypes"
+        expected, given = (
+            [(x.shape, x.dtype) for x in jax.tree.leaves(t)] for t in (self._examples, arguments)
+        )
+        assert given == expected, "a kernel is a program for arrays of these shapes and dtypes"
         arrays = [array.reshape(-1) for array in jax.tree.leaves(arguments) if array.size]
         shapes, structure = jax.tree.flatten(self._results)
 
