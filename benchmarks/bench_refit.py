@@ -17,6 +17,7 @@ EXAMPLES = """\
   python benchmarks/bench_refit.py --record                      record the states, on a CPU
   python benchmarks/bench_refit.py                               1, 45 and 200 lanes on a GPU, 1 on a CPU core
   python benchmarks/bench_refit.py --lanes 1 8 --sets lunar-lander-late
+  python benchmarks/bench_refit.py --episodes 60 --lanes 200     whole episodes, refits included
 """
 SETS = {
     "lunar-lander-early": ("lunar-lander", 500, 4),
@@ -30,9 +31,12 @@ SETS = {
 def main(argv: list[str]) -> int:
     """Run the benchmark."""
     args = parse(argv)
+    if args.record and args.episodes:
+        print("error: --record and --episodes: allowed: one of them", file=sys.stderr)
+        return 2
     device = "cpu" if args.record else args.device
     missing = [name for name in args.sets if not (args.states / f"{name}.npz").exists()]
-    if missing and not args.record:
+    if missing and not args.record and not args.episodes:
         print(f"error: no states of {', '.join(missing)} in {args.states}: add --record", file=sys.stderr)
         return 2
     return run_isolated(Path(__file__).with_name("refit_timings.py"), argv, device, args.cores)
@@ -47,6 +51,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--runs", type=positive, default=4, help="runs that are recorded (4)")
     parser.add_argument("--lanes", type=positive, nargs="+", help="refits at once (1 45 200; 1 on a CPU)")
     parser.add_argument("--sets", choices=SETS, nargs="+", default=list(SETS), help="recorded states (all)")
+    parser.add_argument("--episodes", type=positive, help="time this many whole episodes instead")
     return parser.parse_args(argv)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from bench_refit import SETS, parse
 from rich.console import Console
 from rich.table import Table
-from timing import Row, describe_device, median_seconds, on_gpu, write_record
+from timing import Row, describe_device, median_seconds, on_gpu, print_rows, write_record
 
 from bojax.engine.build import build
 from bojax.envs.settings import CartpoleSwingUp, LunarLander
@@ -193,6 +193,30 @@ def measure(args) -> tuple[list[Row], list[list[str]]]:
     return rows, table
 
 
+def measure_episodes(args) -> list[Row]:
+    """Time whole episodes, a refit after each, of runs that start at once."""
+    rows = []
+    for domain, number in dict.fromkeys(SETS[name][:2] for name in args.sets):
+        run = make_run(domain, number)
+        init, advance = (jax.jit(jax.vmap(f, axis_name=LANES)) for f in (run.init, run.advance))
+        for lanes in args.lanes or [200 if on_gpu() else 1]:
+            carry = init(jax.random.split(jax.random.key(args.seed), lanes))
+            start = time.perf_counter()
+            compiled = advance.lower(carry).compile()
+            compile_seconds = time.perf_counter() - start
+
+            def last(carry=carry, compiled=compiled):
+                for _ in range(args.episodes):
+                    carry = compiled(carry)[0]
+                return carry.learner.posterior.mean
+
+            means = np.asarray(last()).reshape(lanes, -1)
+            assert len(np.unique(means, axis=0)) == lanes, "each run must learn something else"
+            seconds, work = median_seconds(last, args.repeats), lanes * args.episodes
+            rows.append(Row(f"{domain}, {args.episodes} episodes", lanes, seconds, work, compile_seconds))
+    return rows
+
+
 def default_lanes(name: str) -> list[int]:
     """Most lanes are still going in early episodes, and few in late ones."""
     if not on_gpu():
@@ -216,6 +240,12 @@ def main(argv: list[str]) -> int:
     if args.record:
         for name in args.sets:
             record(args, name)
+        return 0
+    if args.episodes:
+        rows = measure_episodes(args)
+        print_rows("Episodes of EMU-Q with direct refits", "episodes", rows, "first")
+        if args.json:
+            write_record(args.json, "refit", "episodes", rows, {"repeats": args.repeats, "seed": args.seed})
         return 0
     rows, cells = measure(args)
     table = Table(title=f"Direct refits of EMU-Q in float32 ({describe_device()})")

@@ -34,6 +34,12 @@ _COMMANDS = "FUSION", "CUBLAS", "CUBLASLT", "CUSTOM_CALL", "CUDNN", "DYNAMIC_SLI
 _LOOPS = "WHILE", "CONDITIONAL"
 """What has to be recorded besides, so that a loop is one graph."""
 
+_EARLY_STARTS = "xla_gpu_enable_pdl"
+"""With this option, the default of JAX 0.11, a kernel may be put on a GPU before the one that it follows has
+ended, for which it then waits (programmatic dependent launch). While four chunks ran at once on an H200, such
+a kernel filled the GPU, and nothing went on: in six of six cold reproductions of the thesis.
+"""
+
 _PALLAS = "__gpu$xla.gpu.triton", "triton_kernel_call", "mosaic_gpu_v2"
 """Custom calls without a promise across versions of JAX, which is not needed: `program_cache` tells versions
 apart."""
@@ -136,8 +142,10 @@ def _options(device: Device, gains: Collection[str]) -> dict[str, Any]:
     if device.platform == "cpu":
         level = _FULL if GAINS_FROM_PASSES in gains else _QUICK
         options = {"xla_backend_optimization_level": level, "xla_llvm_disable_expensive_passes": True}
-    elif _platform_of(device) == "cuda" and GAINS_FROM_GRAPHS in gains:
-        options = {_GRAPHS: ",".join((*_COMMANDS, *_LOOPS))}
+    elif _platform_of(device) == "cuda":
+        options[_EARLY_STARTS] = False
+        if GAINS_FROM_GRAPHS in gains:
+            options[_GRAPHS] = ",".join((*_COMMANDS, *_LOOPS))
     flags = os.environ.get("XLA_FLAGS", "")
     return {name: value for name, value in options.items() if name not in flags}
 

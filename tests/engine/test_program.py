@@ -1,12 +1,14 @@
 """Programs are compiled with the options that suit them; loops that XLA reads too early are no graphs."""
 
+from types import SimpleNamespace
+
 import jax
 import numpy as np
 import pytest
 
 from bojax.engine import program
 from bojax.engine.build import build
-from bojax.engine.program import GAINS_FROM_PASSES, Program
+from bojax.engine.program import GAINS_FROM_GRAPHS, GAINS_FROM_PASSES, Program
 from bojax.numerics.lanes import LANES, any_lane, in_own_kernel
 from bojax.planning.settings import PFTDPW, POMCPOW, VOMCPOW
 from bojax.problems.particles import initial
@@ -29,6 +31,20 @@ def test_options_of_the_compiler_are_saved_with_a_program_and_give_way_to_flags_
     quick.compile("two", DEVICE)
     assert all(options.pop("xla_llvm_disable_expensive_passes") for options in given)
     assert given == [*({"xla_backend_optimization_level": level} for level in (1, 3, 3)), {}]
+
+
+@pytest.mark.parametrize("gains", [[], [GAINS_FROM_GRAPHS]])
+def test_no_kernel_on_an_nvidia_gpu_starts_before_the_one_that_it_follows_has_ended(monkeypatch, gains):
+    monkeypatch.setattr(program, "_platform_of", lambda _: "cuda")
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    gpu = SimpleNamespace(platform="gpu")
+    options = program._options(gpu, gains)
+    assert options.pop("xla_gpu_enable_pdl") is False
+    assert ["WHILE" in value for value in options.values()] == [True] * len(gains)
+    # XLA refuses options that it does not have, whatever the device.
+    jax.jit(lambda: 0).lower().compile({"xla_gpu_enable_pdl": False})
+    monkeypatch.setenv("XLA_FLAGS", "--xla_gpu_enable_pdl=true")
+    assert "xla_gpu_enable_pdl" not in program._options(gpu, gains)
 
 
 @pytest.mark.parametrize("by_user", [False, True])
