@@ -18,6 +18,13 @@ TICK_SECONDS = 2.0
 """Time after which the progress is shown again if nothing has happened."""
 
 
+STILL_SECONDS, STILL_FACTOR = 300.0, 10.0
+"""Time without a segment after which a note says so; it is also this factor times the longest segment."""
+
+
+_HANGS = "if the device hangs, press Ctrl-C twice, and go on with --resume"
+
+
 @dataclass(eq=False)
 class GroupProgress:
     """When a static group was compiled and run by this process, by `time.monotonic`; None before."""
@@ -49,6 +56,8 @@ class SweepProgress:
         self._steps = self._issued = 0
         self._recent: list[tuple[float, float, int]] = []  # start, end and steps of segments
         self._shown = time.monotonic()
+        self._moved: float | None = None  # end of the last segment; None once it was said to be long ago
+        self._longest = 0.0  # seconds of the longest segment
         self._lock = threading.RLock()
 
     def __enter__(self) -> "SweepProgress":
@@ -95,6 +104,7 @@ class SweepProgress:
             self._steps += segment.active_steps
             self._issued += segment.issued_steps
             self._recent.append((start, now, segment.active_steps))
+            self._moved, self._longest = now, max(self._longest, segment.seconds)
             self._show()
 
     def failed(self, group: GroupProgress, num_runs: int, reason: str) -> None:
@@ -105,8 +115,15 @@ class SweepProgress:
             self.say(f"failed: {group.name}, {num_runs} runs: {reason}")
 
     def tick(self) -> None:
-        """Show the progress if it has not been shown for a while: the time left changes meanwhile."""
+        """Show the progress if it has not been shown for a while: the time left changes meanwhile.
+
+        If no run has advanced for long, it also says how to end a sweep whose device hangs.
+        """
         with self._lock:
+            still = 0.0 if self._moved is None else time.monotonic() - self._moved
+            if still > max(STILL_SECONDS, STILL_FACTOR * self._longest):
+                self._moved = None
+                self.say(f"note: no run has advanced for {duration(still)}; {_HANGS}")
             if time.monotonic() - self._shown >= TICK_SECONDS:
                 self._show()
 

@@ -96,3 +96,21 @@ def test_durations():
     cases = {0.4: "0 s", 59.6: "1 min 00 s", 125.0: "2 min 05 s", 7265.0: "2 h 01 min"}
     for seconds, text in cases.items():
         assert duration(seconds) == text
+
+
+@pytest.mark.parametrize("seconds, after", [(1.0, 301.0), (60.0, 601.0)])
+def test_a_note_says_once_that_no_run_advances(clock, seconds, after):
+    shown, text, group = make("kcbts")
+    clock.now += 10_000.0
+    shown.tick()  # a long compilation is no reason
+    for _ in range(2):
+        shown.segment(group, segment(seconds=seconds))
+        clock.now += after - 2.0
+        shown.tick()
+        assert "advanced" not in text.getvalue()
+        clock.now += 2.0
+        shown.tick()
+        shown.tick()
+        assert text.getvalue().count("note: no run has advanced for") == 1
+        assert "--resume" in text.getvalue()
+        text.truncate(0)
