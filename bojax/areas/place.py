@@ -144,9 +144,8 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         if below is not None:
             raise ValueError(f"{area}: has no values; allowed with --below: a raster")
         width, height = (_metres(size[i], size[i + 1] or size[4] or "m", area) for i in (1, 3))
-        return Place(
-            area, Area.rectangle(0.0, 0.0, width, height), Projection.of(None, (0, 0, width, height))
-        )
+        projection = Projection.of(None, (0, 0, width, height), area)
+        return Place(area, Area.rectangle(0.0, 0.0, width, height), projection)
     suffix = Path(split_choice(area)[0]).suffix.lower()
     if suffix not in (*polygons.SUFFIXES, *RASTERS):
         allowed = f"a size such as 500x300, or a file: {', '.join((*polygons.SUFFIXES, *RASTERS))}"
@@ -168,7 +167,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
             if raster.step > 1:
                 notes.append(f"{area}: only every {raster.step}th row and column is used.")
         x_min, y_min, x_max, y_max = shape.bounds
-        projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max))
+        projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max), area)
         local = _moved(shape, lambda points: projection.from_other(points, crs))
         values = None if raster is None else values_of(area, raster, raster.crs, projection)
     except ValueError as error:

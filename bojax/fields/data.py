@@ -85,8 +85,8 @@ def read_points(file: str) -> Points:
     """Rows of x, y and value in a `.csv`, `.xyz`, `.txt` or `.npy` file.
 
     Columns are chosen by their names (x or lon, y or lat, and z, value, depth, ... or the only other one);
-    `FILE.csv:NAME` chooses the values. Without names there must be three columns. Columns of text are
-    ignored, and rows without data are left out.
+    `FILE.csv:NAME` chooses the values. Without the names of x and y there must be three columns. Columns of
+    text are ignored, and rows without data are left out.
 
     Raises:
         ValueError: The file cannot be read, or has no such columns. The message is one line.
@@ -132,18 +132,19 @@ VALUE_NAMES = ("z", "value", "values", "depth", "elevation", "height", "measurem
 
 
 def _columns(table: "np.ndarray", names: list[str], chosen: str, file: str) -> list[int]:
-    """The columns of x, y and value: by their names, or the only three."""
+    """The columns of x, y and value: by their names, or the only three if neither x nor y has a name."""
     if chosen and not names:
         raise ValueError(f"{file}: got column {chosen}, but the columns have no names; allowed: {file}")
     lowered = [name.lower() for name in names]
     x, y = (next((lowered.index(n) for n in known if n in lowered), None) for known in (X_NAMES, Y_NAMES))
     if x is None or y is None:
-        if len(table.T) == 3 and not chosen:
+        if x is None and y is None and len(table.T) == 3 and not chosen:
             return [0, 1, 2]
         if not names:
             raise ValueError(f"{file}: got {table.shape[1]} columns; allowed: 3, which are x, y and value")
-        known = f"a column {' or '.join(X_NAMES)}, and a column {' or '.join(Y_NAMES)}"
-        raise ValueError(f"{file}: got columns {', '.join(names)}; allowed: {known}")
+        unknown = [known for column, known in ((x, X_NAMES), (y, Y_NAMES)) if column is None]
+        missing = ", and ".join(f"a column {' or '.join(known)}" for known in unknown)
+        raise ValueError(f"{file}: got columns {', '.join(names)}; missing: {missing}")
     rest = [column for column in range(len(names)) if column not in (x, y)]
     rest = [column for column in rest if (table[:, column] == table[:, column]).any()] or rest
     if chosen:

@@ -28,9 +28,12 @@ class Projection:
     origin: tuple[float, float]  # coordinates of the origin of the frame
     scale: tuple[float, float]  # metres that one unit of the coordinates stands for, along x and y
     distortion: float = 0.0  # largest error of lengths in the area, as a share
+    file: str = "the area"  # what it is the frame of, for messages
 
     @classmethod
-    def of(cls, crs: str | None, extent: tuple[float, float, float, float]) -> "Projection":
+    def of(
+        cls, crs: str | None, extent: tuple[float, float, float, float], file: str = "the area"
+    ) -> "Projection":
         """The frame of an area with this extent `(x_min, y_min, x_max, y_max)` in coordinates of `crs`.
 
         The origin is the corner of the extent with the lowest coordinates; without a system, it stays.
@@ -40,11 +43,11 @@ class Projection:
             MissingExtra: A map projection needs the extra `geo`.
         """
         if crs is None:
-            return cls(None, (0.0, 0.0), (1.0, 1.0))
+            return cls(None, (0.0, 0.0), (1.0, 1.0), file=file)
         x_min, y_min, x_max, y_max = extent
         middle = (x_min + x_max) / 2, (y_min + y_max) / 2
         if crs != DEGREES:
-            return cls(crs, (x_min, y_min), _scale(crs, middle))
+            return cls(crs, (x_min, y_min), _scale(crs, middle), file=file)
         if not (-180 <= x_min and x_max <= 360 and -90 < y_min and y_max < 90 and x_max - x_min < 180):
             corners = f"({x_min:g}, {y_min:g}) to ({x_max:g}, {y_max:g})"
             raise ValueError(
@@ -57,7 +60,8 @@ class Projection:
         degree = math.pi / 180
         narrowing = [math.cos(math.radians(y)) / math.cos(latitude) for y in (y_min, y_max)]
         distortion = max(abs(share - 1.0) for share in narrowing)
-        return cls(crs, (x_min, y_min), (across * math.cos(latitude) * degree, along * degree), distortion)
+        scale = (across * math.cos(latitude) * degree, along * degree)
+        return cls(crs, (x_min, y_min), scale, distortion, file)
 
     def to_local(self, points: "np.ndarray") -> "np.ndarray":
         """Coordinates `[*, 2]` in metres."""
@@ -89,14 +93,17 @@ class Projection:
         """Coordinates `[N, 2]` of another system in metres of this frame.
 
         Raises:
-            ValueError: One of the two systems has no place on the Earth, and the other has one.
+            ValueError: One of the two systems has no place on the Earth, and the other has one; the message
+                goes on after the name of the file of the points.
         """
         import numpy as np
 
         if crs == self.crs:
             return self.to_local(points)
         if crs is None or self.crs is None:
-            raise ValueError("one file has a place on the Earth and another has none; allowed: all or none")
+            has, other = ("no", "one") if crs is None else ("a", "none")
+            differs = f"has {has} place on the Earth, and {self.file} has {other}"
+            raise ValueError(f"{differs}; allowed: both or neither")
         return self.to_local(np.stack(_transformer(crs, self.crs).transform(*points.T), axis=1))
 
 

@@ -82,8 +82,8 @@ def frame_of(file: str) -> Projection:
         points = read_points(file)
     except ValueError:
         raster = read_raster(file)
-        return Projection.of(raster.crs, raster.extent)
-    return _points_frame(points)
+        return Projection.of(raster.crs, raster.extent, file)
+    return _points_frame(points, file)
 
 
 def read_local_points(file: str) -> "np.ndarray":
@@ -93,13 +93,13 @@ def read_local_points(file: str) -> "np.ndarray":
         ValueError: The file cannot be read, or has no such columns. The message is one line.
     """
     points = read_points(file)
-    points.rows[:, :2] = _points_frame(points).to_local(points.rows[:, :2])
+    points.rows[:, :2] = _points_frame(points, file).to_local(points.rows[:, :2])
     return points.rows
 
 
-def _points_frame(points: Points) -> Projection:
+def _points_frame(points: Points, file: str) -> Projection:
     (x_min, y_min), (x_max, y_max) = points.rows[:, :2].min(0), points.rows[:, :2].max(0)
-    return Projection.of(points.crs, (float(x_min), float(y_min), float(x_max), float(y_max)))
+    return Projection.of(points.crs, (float(x_min), float(y_min), float(x_max), float(y_max)), file)
 
 
 def _read_plain(file: str, suffix: str) -> Raster:

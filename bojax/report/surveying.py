@@ -77,7 +77,8 @@ def _summary(survey: Mapping[str, Any]) -> str:
     if gain < 0.0:  # only with a separation that no lawnmower keeps
         left = number(mower["errors"][-1])
         return f"{text}. The best lawnmower leaves less, {left}, but its robots come closer than asked."
-    return f"{text}, {100 * gain:.1f}% less than the best lawnmower ({number(mower['errors'][-1])})."
+    other = f"{number(mower['errors'][-1])}, {_distance(mower['length'])} long"
+    return f"{text}, {100 * gain:.1f}% less than the best lawnmower ({other})."
 
 
 def _lawnmower(survey: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -204,29 +205,30 @@ def _outline(maps: Mapping[str, np.ndarray], scale: float) -> Outline:
 
 
 def _draw_errors(survey: Mapping[str, Any]) -> Drawing:
-    """Expected error against distance."""
-    chosen, mower = survey["candidates"][0], _lawnmower(survey)
+    """Expected error against distance; the proposed route and the best of the other method have names."""
+    chosen = survey["candidates"][0]
+    named = [chosen, *[each for each in survey["candidates"] if each["method"] != chosen["method"]][:1]]
     unit, scale = _unit(max(each["length"] for each in survey["candidates"]))
-    figure, grid = style.figure(3.0)
+    figure, grid = style.figure(3.2)
     axes = grid[0, 0]
     for each in survey["candidates"]:
-        if each is not chosen and each is not mower:
+        if each not in named:
             axes.plot(np.asarray(each["distances"]) / scale, each["errors"], color="#C4C8CA", linewidth=0.8)
-    drawn = (
-        []
-        if chosen is mower
-        else [(mower, f"best lawnmower ({mower['detail']})", style.ORANGE, style.LINES[1])]
-    )
-    for each, name, colour, dashes in [*drawn, (chosen, chosen["name"], style.BLUE, style.LINES[0])]:
+    for index, each in [*enumerate(named)][::-1]:  # the proposed route above the other
+        is_mower = each["method"] == "lawnmower"
         axes.plot(
-            np.asarray(each["distances"]) / scale, each["errors"], color=colour, linestyle=dashes, label=name
+            np.asarray(each["distances"]) / scale,
+            each["errors"],
+            color=style.PALETTE[index],
+            linestyle=style.LINES[index],
+            label=f"best lawnmower ({each['detail']})" if is_mower else each["name"],
         )
     style.quiet_grid(axes)
     axes.set_ylim(bottom=0.0)
     axes.set_xlim(left=0.0)
     axes.set_xlabel(f"distance ({unit})")
     axes.set_ylabel("mean standard deviation")
-    axes.legend(frameon=False, loc="lower left")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))  # above the curves
     return Drawing(
         figure,
         "Expected error against distance",

@@ -341,13 +341,20 @@ class Mission:
         return dataclasses.replace(self.options, models=1, restarts=restarts, steps=steps)
 
     def observe(
-        self, points: Any, values: Any, pose: Any = None, times: Any = None, robot: int | None = None
+        self,
+        points: Any,
+        values: Any,
+        pose: Any = None,
+        times: Any = None,
+        robot: int | None = None,
+        *,
+        driven: bool = True,
     ) -> int:
         """Take measurements of a robot into the belief, and move it.
 
-        The distance driven, along the measured points to the pose, is taken from the budget. What cannot be
-        used is left out and counted in `counts`. Values in an unlikely unit are kept, with one warning in a
-        mission (see `bojax.fields.scale`).
+        The distance driven, along the points to the pose, is taken from the budget; a point that was only
+        passed has the value NaN. What cannot be used is left out and counted in `counts`. Values in an
+        unlikely unit are kept, with one warning in a mission (see `bojax.fields.scale`).
 
         Args:
             points: Positions of any number of measurements, in the order of driving, `[S, 2]`, m.
@@ -356,6 +363,8 @@ class Mission:
                 measurement.
             times: Times of the measurements, only to count those that run backwards.
             robot: Index of the robot; of several, it must be given.
+            driven: Whether the robot drove there. Measurements of an earlier visit, or of others, cost
+                nothing and move no robot; their pose and times are ignored.
 
         Returns:
             Number of measurements taken.
@@ -364,7 +373,9 @@ class Mission:
             ValueError: The points are not rows of x and y, there are not as many values, or times, as points,
                 one of them is not a number, or there is no such robot. Then nothing has changed.
         """
-        if robot is None and len(self.robots) == 1:
+        if not driven:
+            pose = times = None
+        if robot is None and (len(self.robots) == 1 or not driven):
             robot = 0
         if robot is None or robot not in range(len(self.robots)):
             raise ValueError(f"robot: got {robot}; allowed: 0 to {len(self.robots) - 1}")
@@ -384,7 +395,8 @@ class Mission:
         if pose is not None and not (len(pose) == 2 and self._is_near(pose)):
             self.counts["bad_pose"] += 1
             pose = None
-        its.drive(points[~is_far], pose)
+        if driven:
+            its.drive(points[~is_far], pose)
         taken = self.measured.take(points, values, is_far, self.counts)
         if not self._is_doubted and (doubt := unit_doubt(self.measured.y)):
             self._is_doubted = True

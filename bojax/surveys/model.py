@@ -95,9 +95,14 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
     x_min, y_min, x_max, y_max = place.area.bounds
     width, extent = max(x_max - x_min, y_max - y_min), float(np.ptp(points, axis=0).max())
-    beyond = np.maximum([x_min, y_min] - points, points - [x_max, y_max]).max(axis=1)
+    beyond = _distances(points, place)
     if beyond.min() > 0.0:
-        notes.append(f"{file}: no value lies in the area: the model is learned from a field elsewhere.")
+        away = float(f"{beyond.min():.2g}")
+        nearest = f"{away / 1000:,g} km" if away >= 1000 else f"{away:g} m"
+        notes.append(
+            f"{file}: no value lies in the area, and the nearest is {nearest} away{_swapped(points, place)}: "
+            "the model is learned from a field elsewhere."
+        )
     elif number := int(np.sum(beyond > FAR * width)):
         why = ", from which the lengthscale is learned" if lengthscale is None else ""
         notes.append(
@@ -137,6 +142,20 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
     source = f"learned from {len(values)} values of {Path(file).name}"
     return FieldModel(lengthscale or found, std, noise, source, mean, seen, tuple(notes), read)
+
+
+def _distances(points: np.ndarray, place: Place) -> np.ndarray:
+    """Distances `[N]` of points from the bounds of the area, m; 0 within them."""
+    low, high = np.array(place.area.bounds).reshape(2, 2)
+    return np.hypot(*np.maximum(0.0, np.maximum(low - points, points - high)).T)
+
+
+def _swapped(points: np.ndarray, place: Place) -> str:
+    """The words for points that would lie in the area with longitude and latitude exchanged, or none."""
+    if place.projection.crs is None:
+        return ""
+    exchanged = place.projection.from_other(place.projection.to_degrees(points)[:, ::-1], DEGREES)
+    return " (longitude and latitude may be swapped)" if _distances(exchanged, place).min() == 0.0 else ""
 
 
 def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, Values, list[str]]:

@@ -7,7 +7,7 @@ import pytest
 
 pyproj = pytest.importorskip("pyproj")
 
-from bojax.areas.place import read_place  # noqa: E402
+from bojax.areas.place import read_outlined, read_place  # noqa: E402
 from bojax.fields.raster import DEGREES  # noqa: E402
 from tests.fields.test_raster_files import ASCII, write_tif, written  # noqa: E402
 
@@ -111,10 +111,13 @@ def test_a_zone_in_another_projection_is_moved(tmp_path):
     with_hole = read_place(written(tmp_path, "b.geojson", geojson(OUTER, HOLE)))
     assert cut.size == pytest.approx(with_hole.size, rel=1e-6)
     local = written(tmp_path, "local.geojson", geojson(HOLE, crs=None))
-    with pytest.raises(
-        ValueError, match=r"local\.geojson: one file has a place on the Earth and another has none"
-    ):
+    whole = str(tmp_path / "a.geojson")
+    with pytest.raises(ValueError, match=rf"local\.geojson: has no place on the Earth, and {whole} has one"):
         place.without(local)
+    with pytest.raises(ValueError, match=rf"a\.geojson: has a place on the Earth, and {local} has none"):
+        read_place(local).without(whole)
+    with pytest.raises(ValueError, match=rf"a\.geojson: has a place on the Earth, and {local} has none"):
+        read_outlined(whole, (), None, local, None)
 
 
 @pytest.mark.parametrize(

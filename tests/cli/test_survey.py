@@ -16,7 +16,7 @@ from bojax.config.sweep import load_config, load_sweep
 from bojax.config.yaml_file import read_mapping
 from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
-from bojax.report import surveying
+from bojax.report import style, surveying
 from bojax.report.surveying import _distance, survey_summary
 from bojax.surveys import model, planning, simulated
 from bojax.surveys.remarks import remarks
@@ -259,7 +259,14 @@ def test_an_earlier_survey_must_vary(here, refusal):
 def test_an_earlier_survey_elsewhere_or_in_an_unlikely_unit_is_named(here, monkeypatch):
     for at, factor, expected in (
         (20.0, 1.0, []),
-        (5000.0, 1.0, ["no value lies in the area: the model is learned from a field elsewhere."]),
+        (
+            5000.0,
+            1.0,
+            [
+                "no value lies in the area, and the nearest is 4.9 km away: the model is learned from a "
+                "field elsewhere."
+            ],
+        ),
         (20.0, 1e9, ["the values have a standard deviation of 1.41e+09; check their unit."]),
     ):
         rows = [f"{at + i},{i % 7},{factor * (i % 5 - 9)}" for i in range(30)]
@@ -267,14 +274,42 @@ def test_an_earlier_survey_elsewhere_or_in_an_unlikely_unit_is_named(here, monke
         assert [*notes_of(monkeypatch, "old.csv", "100x100")] == [f"old.csv: {note}" for note in expected]
 
 
+def found(best: str, *errors: float) -> dict:
+    """A survey whose best route is of this method, with the error of its best route and of the other's."""
+    route = {"name": "route, optimised", "method": "route", "detail": "optimised", "length": 2500.0}
+    mower = {"name": "lawnmower", "method": "lawnmower", "detail": "lines at 0°", "length": 2294.0}
+    rest = mower | {"detail": "lines at 90°", "errors": [1.0, 0.9]}
+    pair = [route, mower] if best == "route" else [mower, route]
+    candidates = [each | {"errors": [1.0, error]} for each, error in zip(pair, errors, strict=True)]
+    common = {"routes": [[], []], "distances": [0.0, 2000.0]}
+    return {
+        "candidates": [each | common for each in [*candidates, rest]],
+        "goal": {"meaning": "over the area"},
+    }
+
+
 def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
-    best = {"name": "route, optimised", "method": "route", "errors": [1.0, 0.3]}
-    close = {"name": "lawnmower", "method": "lawnmower", "errors": [1.0, 0.2]}
-    candidates = [each | {"length": 100.0, "routes": [[], []]} for each in (best, close)]
-    survey = {"candidates": candidates, "goal": {"meaning": "over the area"}}
-    (tmp_path / "survey.json").write_text(json.dumps(survey))
+    (tmp_path / "survey.json").write_text(json.dumps(found("route", 0.3, 0.2)))
     end = "The best lawnmower leaves less, 0.200, but its robots come closer than asked."
     assert survey_summary(tmp_path).endswith(end)
+
+
+def test_the_length_of_the_best_lawnmower_is_named_beside_its_error(tmp_path):
+    (tmp_path / "survey.json").write_text(json.dumps(found("route", 0.18, 0.2)))
+    end = " 10.0% less than the best lawnmower (0.200, 2.29 km long)."
+    assert survey_summary(tmp_path).endswith(end)
+
+
+@pytest.mark.parametrize("best", ["route", "lawnmower"])
+def test_the_legend_names_the_best_of_both_methods_and_hides_no_curve(best):
+    with style.settings():
+        figure = surveying._draw_errors(found(best, 0.2, 0.3)).figure
+        figure.draw_without_rendering()
+    (axes,) = figure.axes
+    legend = axes.get_legend()
+    names = ["route, optimised", "best lawnmower (lines at 0°)"]
+    assert [text.get_text() for text in legend.get_texts()] == (names[::-1] if best == "route" else names)
+    assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
 
 
 def check_planners(config, sweep) -> None:

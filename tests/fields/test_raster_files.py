@@ -149,8 +149,10 @@ def test_columns_of_text_are_ignored_unless_a_row_would_be(tmp_path):
         ("S1,1,2,3\nS2,4,5,6\n", "a.csv: columns of text have no names; allowed: a first line with names"),
         ("x,y,depth\n1,2,3\n4,5,6m\n", "a.csv: could not convert string '6m'"),
         ("x,y\n1,2\n", "a.csv: has no column of values beside x and y"),
-        ("x,y,z\n1,2,3\n4,5\n", "a.csv: row 2 has 2 columns, and row 1 has 3; allowed: rows of equal length"),
-        ("a,b,c,d\n1,2,3,4\n", "a.csv: got columns a, b, c, d; allowed: a column x or lon or"),
+        (
+            "a,b,c,d\n1,2,3,4\n",
+            "a.csv: got columns a, b, c, d; missing: a column x or lon or .*, and a column y",
+        ),
     ):
         with one_line(ValueError, message):
             read_points(written(tmp_path, "a.csv", text))
@@ -158,6 +160,42 @@ def test_columns_of_text_are_ignored_unless_a_row_would_be(tmp_path):
         read_points(written(tmp_path, "a.csv", "1,2,3\n") + ":z")
     with one_line(ValueError, "could not convert"):  # a grid has no columns to ignore
         read_raster(written(tmp_path, "a.csv", "a,b,c\n1,2,land\n3,4,land\n"))
+
+
+@pytest.mark.parametrize(
+    ("names", "missing"),
+    [("lon,depth,temperature", "y or lat"), ("LON,foo,value", "y or lat"), ("depth,lat,value", "x or lon")],
+)
+def test_one_position_by_its_name_is_not_completed_by_another_column(tmp_path, names, missing):
+    listed = names.replace(",", ", ")
+    with one_line(ValueError, f"a.csv: got columns {listed}; missing: a column {missing} or [a-z or]*$"):
+        read_points(written(tmp_path, "a.csv", f"{names}\n10,54,1\n"))
+
+
+def test_without_the_names_of_positions_three_columns_are_x_y_and_value(tmp_path):
+    for header in ("", "a,b,c\n"):
+        path = written(tmp_path, "a.csv", f"{header}10,54,1\n")
+        np.testing.assert_array_equal(read_points(path).rows, [[10.0, 54.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("before", "rows", "message"),
+    [
+        ("", "1,2,<0.5\n", "could not convert string '<0.5' .*on line 2, column 3"),
+        ("1,2,3\n", "4,5,<0.5\n", "could not convert string '<0.5' .*on line 3, column 3"),
+        ("# a lake\n\n1,2,3\n# noon\n \n", "4,<0.5,6\n", "could not convert string .*on line 7, column 2"),
+        ("1,2,NA\n\n", "4,5,3\n6,7,<0.5\n", "could not convert string .*on line 5, column 3"),
+        ("1,2,NA\n", "4,5,6!7\n", "could not convert string '6!7' .*on line 3, column 3"),
+        ("# a lake\n1,2,3\n\n", "4,5\n", "line 5 has 2 columns, and line 3 has 3; allowed: rows of equal"),
+    ],
+)
+def test_a_row_that_cannot_be_read_is_named_by_its_line_in_the_file(tmp_path, before, rows, message):
+    for header, delimiter in (("x,y,z\n", ","), ("x,y,z\n", ";"), ("x,y,z\n", "\t"), ("x,y,z\r\n", " ")):
+        text = (header + before + rows).replace(",", delimiter)
+        with one_line(ValueError, f"a.csv: {message}"):
+            read_array(written(tmp_path, "a.csv", text))
+    with one_line(ValueError, "a.csv: line 4 has 2 columns, and line 2 has 3"):  # without names
+        read_array(written(tmp_path, "a.csv", "# a lake\n1,2,3\n\n4,5\n"))
 
 
 @pytest.mark.parametrize(

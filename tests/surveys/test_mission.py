@@ -48,6 +48,23 @@ def test_the_whole_budget_is_driven_and_the_field_is_learned():
     assert survey.num_measurements > 30
 
 
+@pytest.mark.parametrize("robots", [1, 2])
+def test_measurements_of_others_cost_nothing_and_move_no_robot(robots):
+    survey = mission(robots=robots, start=[[1.0, 1.0], [5.0, 5.0]][:robots])
+    points = SQUARE.grid(1.0)
+    assert survey.observe(points, field(points), [3.0, 3.0], driven=False) == len(points)
+    for robot, start in zip(survey.robots, (1.0, 5.0), strict=False):
+        assert robot.remaining == 12.0
+        np.testing.assert_array_equal(robot.position, [start, start])
+    assert survey.num_measurements == len(points) and not any(survey.counts.values())
+
+
+def test_a_corner_without_a_value_counts_as_driven():
+    survey, corner = mission(), [3.0, 1.0]
+    survey.observe([[2.0, 1.0], corner, [3.0, 2.0]], [1.0, np.nan, 2.0])
+    assert survey.remaining == pytest.approx(12.0 - 3.0)
+
+
 def test_a_second_plan_compiles_nothing():
     survey = mission()
     for _ in range(2):

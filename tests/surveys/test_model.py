@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bojax.areas.place import read_place
+from bojax.fields.raster import DEGREES
 from bojax.surveys import model
 from bojax.surveys.model import assumed_model, learned_model
 from tests.fields.test_raster_files import written
@@ -77,6 +78,38 @@ def test_metres_are_refused_for_an_area_in_degrees(tmp_path):
     file = written(tmp_path, "old.csv", "\n".join(["easting,northing,z", *rows]))
     with one_line(ValueError, "old.csv: column easting: got 700029; allowed: longitudes from -360 to 360"):
         learned_model(file, read_place(written(tmp_path, "a.geojson", area)), None)
+
+
+def test_the_file_without_a_place_on_the_earth_is_named(tmp_path, monkeypatch):
+    np.savez(tmp_path / "lake.npz", z=np.ones((5, 5)), x=np.arange(5.0), y=np.arange(5.0))
+    old = written(tmp_path, "old.csv", "lon,lat,z\n9,54,1\n")
+    with one_line(ValueError, r"old\.csv: has a place on the Earth, and .*lake\.npz has none; allowed: both"):
+        notes_of(monkeypatch, old, str(tmp_path / "lake.npz"))
+
+
+@pytest.mark.parametrize(
+    ("names", "at", "away"),
+    [
+        ("lon,lat", (9.001, 54.001), None),
+        ("lat,lon", (9.001, 54.001), "away (longitude and latitude may be swapped)"),
+        ("lon,lat", (9.041, 54.001), "2 km away"),
+        ("lon,lat", (9.001, 54.0145), "500 m away"),
+    ],
+)
+@pytest.mark.parametrize("crs", [DEGREES, "EPSG:32632"])
+def test_how_far_away_all_values_are_is_named(tmp_path, monkeypatch, names, at, away, crs):
+    corners = np.array([[9.0, 54.0], [9.01, 54.0], [9.01, 54.01], [9.0, 54.01], [9.0, 54.0]])
+    system = {}
+    if crs != DEGREES:
+        pyproj = pytest.importorskip("pyproj")
+        corners = np.stack(pyproj.Transformer.from_crs(DEGREES, crs, always_xy=True).transform(*corners.T), 1)
+        system = {"crs": {"type": "name", "properties": {"name": crs}}}
+    polygon = {"type": "Polygon", "coordinates": [corners.tolist()]} | system
+    area = written(tmp_path, "a.geojson", json.dumps(polygon))
+    rows = [f"{at[0] + i / 1e4},{at[1] + i % 7 / 1e4},{i % 5}" for i in range(30)]
+    notes = notes_of(monkeypatch, written(tmp_path, "old.csv", "\n".join([f"{names},z", *rows])), area)
+    assert len(notes) == (away is not None)
+    assert away is None or f"{away}: the model is learned from a field elsewhere." in notes[0]
 
 
 def test_without_data_the_lengthscale_is_a_tenth_of_the_root_of_the_area():
