@@ -23,7 +23,7 @@ def error_line(error: BaseException) -> str:
 def error_at_line(error: BaseException) -> str:
     """An exception on one line, with the file and the line where it was raised.
 
-    If an installed package raised it, the line is the last one outside of all packages, which called it.
+    If bojax or an installed package raised it, the line is the last one outside of them, which called it.
     """
     place = place_of(error)
     if not place or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
@@ -36,9 +36,16 @@ def place_of(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     if not frames:
         return ""
-    own = [frame for frame in frames if "site-packages" not in Path(frame.filename).parts]
+    own = [frame for frame in frames if _is_own(frame.filename)]
     at = (own or frames)[-1]
     return f"{Path(at.filename).name}, line {at.lineno}"
+
+
+def _is_own(file: str) -> bool:
+    """Whether code is a user's, not of bojax, an installed package, or Python's import system."""
+    path = Path(file)
+    is_foreign = "site-packages" in path.parts or file.startswith("<frozen ")
+    return not (is_foreign or path.is_relative_to(Path(__file__).parent))
 
 
 def duration(seconds: float) -> str:

@@ -136,6 +136,7 @@ class PlanningEpisode(Experiment):
             "planned_value": plan.value,
             "accumulated_reward": accumulated,
             "done": done,
+            **problem.action_row(plan.action),
             **problem.row(world),
             **problem.belief_row(world, belief),
         }

@@ -2,10 +2,11 @@
 
 import contextlib
 import functools
+import inspect
 import random
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -39,6 +40,32 @@ def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
 def is_users(part: Any) -> bool:
     """Whether the class of a part is a user's, not one of bojax."""
     return not type(part).__module__.startswith("bojax.")
+
+
+def check_names(cls: type, base: type, own: Collection[str]) -> None:
+    """Raise a TypeError if a user's class gives another meaning to a method or property of its base class.
+
+    A helper that has the name of a method by chance would be called in its place.
+
+    Args:
+        cls: The user's class.
+        base: Its base class, one of bojax.
+        own: Names that a subclass defines; whether they fit is checked elsewhere.
+    """
+    for name in dict.fromkeys([*vars(cls), *getattr(cls, "__annotations__", {})]):
+        theirs, given = getattr(base, name, None), vars(cls).get(name)
+        if name in own or name.startswith("__") or not (callable(theirs) or isinstance(theirs, property)):
+            continue
+        is_property = isinstance(theirs, property)
+        parameters = "" if is_property else f"({', '.join(inspect.signature(theirs).parameters)})"
+        fits = (
+            isinstance(given, property)
+            if is_property
+            else callable(given) and parameters == (f"({', '.join(inspect.signature(given).parameters)})")
+        )
+        if not fits:
+            own_name, theirs_name = f"{cls.__name__}.{name}", f"{base.__name__} has {name}{parameters}"
+            raise TypeError(f"{own_name}: bojax's {theirs_name}; allowed: another name")
 
 
 def computed(function: Callable[..., Any], *parts: Any) -> Any:

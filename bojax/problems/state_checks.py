@@ -3,6 +3,8 @@
 A mistake in a likelihood gives no error in a run, only a wrong belief: these checks find the usual ones.
 """
 
+import dataclasses
+import inspect
 from typing import NoReturn
 
 import equinox as eqx
@@ -12,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from bojax.models.checks import is_known
-from bojax.numerics.trial import Misfit, computed, described, is_users, require, trial
+from bojax.numerics.trial import Misfit, computed, described, is_users, require, trial, trial_of
 from bojax.problems import particles
-from bojax.problems.actions import ActionSpace
-from bojax.problems.state_space import StateProblem
+from bojax.problems.actions import ActionSpace, Box
+from bojax.problems.state_space import OF_USERS, StateProblem
 
 _NUM_WALKS, _NUM_STEPS, _NUM_OBSERVATIONS, _NUM_PARTICLES = 8, 3, 256, 1000
 _MOST_DISTINCT = 32
@@ -44,12 +46,28 @@ def check_model(problem: StateProblem) -> None:
     if not is_users(problem) or not is_known(problem):
         return
     try:
+        with trial_of(type(problem).__name__):
+            _check_fields(problem)
         trial(problem, _check_shapes, jax.random.key(0))
-        _check_numbers(problem)
-    except Misfit as error:
-        raise ValueError(f"problem: {type(problem).__name__}: {error}") from error
+        with trial_of(type(problem).__name__):
+            _check_numbers(problem)
     except ValueError as error:
         raise ValueError(f"problem: {error}") from error
+
+
+def _check_fields(problem: StateProblem) -> None:
+    """Refuse fields that JAX traces where it must not, or does not where it should, and methods of others."""
+    static = {field.name for field in dataclasses.fields(problem) if field.metadata.get("static")}
+    if "max_steps" not in static or not isinstance(problem.max_steps, int):
+        _refuse("max_steps: allowed: a field max_steps: int = eqx.field(static=True, default=30)")
+    if not isinstance(problem.discount, Array):
+        _refuse(f"discount is {described(problem.discount)}; allowed: a field of an array, not a static one")
+    for name in OF_USERS[1:]:
+        expected = inspect.signature(getattr(StateProblem, name)).parameters
+        try:
+            inspect.signature(getattr(type(problem), name)).bind(*expected)
+        except TypeError as error:
+            raise Misfit(f"{name}: {error}; allowed: {name}({', '.join(expected)})") from error
 
 
 def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
@@ -61,6 +79,7 @@ def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
         name = type(problem.actions).__name__
         _refuse(f"actions is {name}; allowed: a property with a space of bojax.problems.actions, such as Box")
     action = problem.actions.decode(problem.actions.sample(keys[1]))
+    _require_vector("an action of actions", action, problem.discount)
     stepped = problem.step(keys[2], state, action)
     if not isinstance(stepped, tuple) or len(stepped) != 3:
         _refuse("step: allowed: three values, the next state, the reward and whether the episode ends")
@@ -109,7 +128,9 @@ class _Sample(eqx.Module):
     # Log likelihood of the first observations of each transition, given each other transition
     others: Float[Array, "T T C"]
     far: Float[Array, "T F"]  # log likelihood of observations far from all others
-    has_collapsed: Bool[Array, "W"]  # whether no particle explains the first observation of a walk
+    # Whether no particle explains the first observation of a walk that goes on, and whether the walk goes on
+    has_collapsed: Bool[Array, "W"]
+    goes_on: Bool[Array, "W"]
 
 
 def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
@@ -127,7 +148,7 @@ def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
             # A belief steps terminal particles too.
             after, after_reward, _ = problem.step(after_key, following, action)
             numbers = jnp.concatenate([state, following, after, reward[None], after_reward[None]])
-            row = state, action, following, is_used, jnp.all(jnp.isfinite(numbers))
+            row = state, action, following, is_used, jnp.all(jnp.isfinite(numbers)), ~ended
             return (following, is_used & ~ended), row
 
         start = problem.initial(start_key), jnp.asarray(True)
@@ -135,7 +156,7 @@ def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
 
     walks = jax.vmap(walk)(jax.random.split(walk_key, _NUM_WALKS))
     rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), walks)
-    states, actions, following, is_used, is_finite = rows
+    states, actions, following, is_used, is_finite, goes_on = rows
 
     def observe(key: Key[Array, ""], *transition: Float[Array, "..."]) -> Float[Array, "N O"]:
         return jax.vmap(lambda key: problem.observe(key, *transition))(
@@ -172,6 +193,7 @@ def _sample(problem: StateProblem, key: Key[Array, ""]) -> _Sample:
         jax.vmap(has_collapsed)(
             jax.random.split(particle_key, _NUM_WALKS), actions[first], observations[first, 0]
         ),
+        goes_on[first],
     )
 
 
@@ -181,6 +203,9 @@ def _check_numbers(problem: StateProblem) -> None:
         _refuse(f"discount is {discount:g}; allowed: above 0, at most 1")
     sample = computed(_sample, problem)
     used = sample.is_used
+    for box in jax.tree.leaves(problem.actions, is_leaf=lambda part: isinstance(part, Box)):
+        if isinstance(box, Box) and box.is_angle and not _is_turn(np.asarray(box.high - box.low)):
+            _refuse("actions: is_angle, but the bounds of Box are not one turn apart; allowed: 2 pi or 360")
     if not np.all(sample.is_inside[used]):
         _refuse("actions: a random action is not in the action space; allowed: finite bounds, low first")
     if not np.all(sample.is_finite[used]):
@@ -194,16 +219,22 @@ def _check_numbers(problem: StateProblem) -> None:
     own, others = sample.own[used], sample.others[used][:, used]
     if np.any(np.isnan(own)) or np.any(np.isnan(others)):
         _refuse("log_likelihood is NaN for an observation that the problem has made")
-    if np.any(own == np.inf):
-        _refuse("log_likelihood is infinite for an observation that the problem has made")
-    if np.all(sample.has_collapsed):
+    if np.any(own == np.inf) or np.any(others == np.inf):
+        _refuse("log_likelihood is +inf for an observation that the problem has made")
+    # Of a walk that has ended, the particles need not explain anything.
+    if np.any(sample.goes_on) and np.all(sample.has_collapsed[sample.goes_on]):
         _refuse(
             f"log_likelihood: none of {_NUM_PARTICLES} particles explains the first observation; "
-            "allowed: an observation with noise, or finitely many observations"
+            "allowed: likelihoods below infinity, and observations with noise or finitely many ones"
         )
     _check_logarithm(sample.observations[used], own, others, sample.far[used])
     _check_fit(own[:, None, :_NUM_COMPARED], others)
     _check_repetition(sample.observations[used], problem.has_discrete_observations)
+
+
+def _is_turn(widths: Float[np.ndarray, "K"]) -> bool:
+    """Whether all ranges are one turn, in radians or degrees."""
+    return any(np.allclose(widths, turn, rtol=1e-3) for turn in (2.0 * np.pi, 360.0))
 
 
 def _check_logarithm(

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from typing_extensions import override
 
+from bojax.numerics.trial import check_names
 from bojax.problems import particles
 from bojax.problems.base import (
     ACCUMULATED_REWARD,
@@ -30,6 +31,9 @@ NUM_DRAWN = 64
 """Number of states of a belief that are recorded for pictures and films."""
 
 COLLAPSES = Column("collapses", "int32", "", "times that no particle of the belief explained the observation")
+
+OF_USERS = ("actions", "initial", "step", "observe", "log_likelihood", "heuristic_value", "sketch", "filter")
+"""Methods that a subclass defines, or may define."""
 
 Sketch = dict[str, Float[Array, "*T N P"]]
 """Points by name, see `StateProblem.sketch`: of the true state, then of states of the belief."""
@@ -66,6 +70,12 @@ class StateProblem(StateModel, Problem):
 
     num_particles: int = eqx.field(static=True, default=10_000, kw_only=True)
     samples_belief: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **kwargs):
+        """Check the names of a user's class, or raise TypeError."""
+        super().__init_subclass__(**kwargs)
+        if not cls.__module__.startswith("bojax."):
+            check_names(cls, StateProblem, OF_USERS)
 
     @override
     def __check_init__(self):
@@ -136,9 +146,18 @@ class StateProblem(StateModel, Problem):
     @property
     @override
     def step_columns(self) -> Table:
-        row = jax.eval_shape(lambda key: self.row(self.initial(key)), jax.random.key(0))
-        columns = (Column(name, "float64", "", "true state") for name in row)
+        key = jax.random.key(0)
+        action = jax.eval_shape(
+            lambda key: self.action_row(self.actions.decode(self.actions.sample(key))), key
+        )
+        state = jax.eval_shape(lambda key: self.row(self.initial(key)), key)
+        columns = [Column(name, "float64", "", "action") for name in action]
+        columns += [Column(name, "float64", "", "true state after the action") for name in state]
         return (STEP, REWARD, PLANNED_VALUE, ACCUMULATED_REWARD, DONE, *columns)
+
+    @override
+    def action_row(self, action: Float[Array, "K"]) -> dict[str, Scalar]:
+        return {f"action_{index}": value for index, value in enumerate(action)}
 
     @override
     def row(self, world: Float[Array, "D"]) -> dict[str, Scalar]:

@@ -15,7 +15,7 @@ from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
 from bojax.planning.belief_planner import PolicyPlanner
-from bojax.problems.actions import Box, Discrete
+from bojax.problems.actions import Box, Discrete, Mixed
 from bojax.problems.state_checks import check_model
 from bojax.problems.state_space import StateProblem
 from tests.refusals import assert_refused, without_annotation_checks
@@ -228,6 +228,87 @@ def test_bounds_of_a_box_are_two_vectors():
             (jnp.zeros(1), jnp.ones(2), r"float64 of shape \(1,\) and float64 of shape \(2,\)"),
         ]
         assert_refused([(partial(Box, *each), message.format(got)) for *each, got in bounds])
+
+
+def test_parts_of_a_mixed_space_have_one_precision():
+    box, message = Box(-jnp.ones(2), jnp.ones(2)), "^Mixed: got {}; allowed: a Box, and a vector of levels"
+    with without_annotation_checks():
+        parts: list[Any] = [
+            (box, [0.0, 1.0], "Box and list"),
+            (box, jnp.asarray([0, 1]), r"Box and int64 of shape \(2,\)"),
+            (box, jnp.zeros((2, 1)), r"Box and float64 of shape \(2, 1\)"),
+            (jnp.ones(2), jnp.zeros(2), r"\w+ and float64 of shape \(2,\)"),
+        ]
+        assert_refused([(partial(Mixed, *each), message.format(got)) for *each, got in parts])
+
+
+def declared(**attributes):
+    """A function that declares a class of lines with these attributes, and checks a problem of it."""
+    return lambda: check_model(type("Own", (Line,), {"__module__": "own", **attributes})())
+
+
+def test_names_of_methods_of_bojax_are_not_given_to_helpers():
+    """`reward` with as many parameters would be called in place of the reward of `step`."""
+
+    def other(self, state, action, next_state, is_caught):
+        return -jnp.sum(next_state**2)
+
+    def same(self, objective, belief, action, events):
+        return 2.0 * events.reward
+
+    message = r"^Own.{}: bojax's StateProblem has {}; allowed: another name$"
+    reward = message.format("reward", r"reward\(self, objective, belief, action, events\)")
+    assert_refused(
+        [
+            (declared(reward=other), reward),
+            (declared(reward=100.0), reward),
+            (declared(__annotations__={"reward": Float[Array, ""]}), reward),
+            (declared(row=property(lambda self: 1.0)), message.format("row", r"row\(self, world\)")),
+            (declared(step_columns=other), message.format("step_columns", "step_columns")),
+        ],
+        TypeError,
+    )
+    declared(reward=same)()
+
+
+def test_what_is_static_and_parameters_of_methods_are_checked():
+    static, traced = partial(eqx.field, static=True), {"__annotations__": {"max_steps": int}}
+    message = r"allowed: a field max_steps: int = eqx.field\(static=True, default=30\)"
+    assert_refused(
+        [
+            (declared(**traced, max_steps=30), f"^problem: Own: max_steps: {message}"),
+            (
+                declared(__annotations__={"max_steps": float}, max_steps=static(default=30.0)),
+                f"^problem: Own: max_steps: {message}",
+            ),
+            (
+                declared(__annotations__={"discount": float}, discount=static(default=0.9)),
+                "^problem: Own: discount is float; allowed: a field of an array",
+            ),
+            (
+                declared(step=lambda self, state, action: state),
+                r"^problem: Own: step: .*; allowed: step\(self, key, state, action\)$",
+            ),
+        ]
+    )
+
+
+def test_particles_need_not_explain_the_observation_of_an_episode_that_ends_at_once():
+    def step(self, key, state, action):
+        return *Line.step(self, key, state, action)[:2], jnp.asarray(True)
+
+    declared(step=step)()
+
+
+def test_angles_have_bounds_one_turn_apart():
+    def actions(turn):
+        return property(lambda self: Box(jnp.zeros(1), jnp.full(1, turn), is_angle=True))
+
+    assert_refused(
+        [(declared(actions=actions(2.0)), "^problem: Own: actions: is_angle, but the bounds of Box")]
+    )
+    for turn in (2.0 * np.pi, 360.0):
+        declared(actions=actions(turn))()
 
 
 def test_wrong_shapes_are_refused():
