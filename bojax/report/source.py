@@ -431,8 +431,12 @@ def distinct_names(points: Sequence[Point]) -> list[str]:
 
 
 def short_value(points: Sequence[Point], key: str, value: Any) -> Any:
-    """A swept value for a name or a tick: a list, which is too long, by its number in the sweep."""
-    return f"no. {swept_values(points, key).index(value) + 1}" if isinstance(value, list) else value
+    """A swept value for a name or a tick: a vector of 2 or 3 numbers as one, another list by its number."""
+    if not isinstance(value, list):
+        return value
+    if len(value) in (2, 3) and all(isinstance(each, int | float) for each in value):
+        return f"({', '.join(f'{each:g}' for each in value)})"
+    return f"no. {swept_values(points, key).index(value) + 1}"
 
 
 def swept_keys(points: Sequence[Point]) -> list[str]:

@@ -72,6 +72,11 @@ def test_a_list_is_told_by_its_number_in_the_sweep():
     assert short_value(points, "length", 2.0) == 2.0
 
 
+def test_a_vector_of_few_numbers_is_told_as_it_is():
+    points = [point_of(i, "sbo", "a", {"wind": [0.4, -i / 3], "five": [i] * 5}) for i in range(2)]
+    assert distinct_names(points) == ["a, wind (0.4, 0), five no. 1", "a, wind (0.4, -0.333333), five no. 2"]
+
+
 @pytest.mark.parametrize(("is_least", "kept", "word"), [(False, 12, "greatest"), (True, 0, "least")])
 def test_of_many_curves_the_best_of_each_label_is_drawn(is_least, kept, word):
     values = np.zeros((4, 2))
