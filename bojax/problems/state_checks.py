@@ -56,7 +56,7 @@ def check_model(problem: StateProblem) -> None:
 
 
 def _check_fields(problem: StateProblem) -> None:
-    """Refuse fields that JAX traces where it must not, or does not where it should, and methods of others."""
+    """Refuse fields that are traced where they must be static or the reverse, other parameters, and angles."""
     static = {field.name for field in dataclasses.fields(problem) if field.metadata.get("static")}
     if "max_steps" not in static or not isinstance(problem.max_steps, int):
         _refuse("max_steps: allowed: a field max_steps: int = eqx.field(static=True, default=30)")
@@ -68,6 +68,9 @@ def _check_fields(problem: StateProblem) -> None:
             inspect.signature(getattr(type(problem), name)).bind(*expected)
         except TypeError as error:
             raise Misfit(f"{name}: {error}; allowed: {name}({', '.join(expected)})") from error
+    for box in jax.tree.leaves(problem.actions, is_leaf=lambda part: isinstance(part, Box)):
+        if isinstance(box, Box) and box.is_angle and not _is_turn(np.asarray(box.high - box.low)):
+            _refuse("actions: is_angle, but the bounds of Box are not one turn apart; allowed: 2 pi or 360")
 
 
 def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
@@ -203,9 +206,6 @@ def _check_numbers(problem: StateProblem) -> None:
         _refuse(f"discount is {discount:g}; allowed: above 0, at most 1")
     sample = computed(_sample, problem)
     used = sample.is_used
-    for box in jax.tree.leaves(problem.actions, is_leaf=lambda part: isinstance(part, Box)):
-        if isinstance(box, Box) and box.is_angle and not _is_turn(np.asarray(box.high - box.low)):
-            _refuse("actions: is_angle, but the bounds of Box are not one turn apart; allowed: 2 pi or 360")
     if not np.all(sample.is_inside[used]):
         _refuse("actions: a random action is not in the action space; allowed: finite bounds, low first")
     if not np.all(sample.is_finite[used]):
