@@ -56,7 +56,7 @@ def check_model(problem: StateProblem) -> None:
 
 
 def _check_fields(problem: StateProblem) -> None:
-    """Refuse fields that are traced where they must be static or the reverse, other parameters, and angles."""
+    """Refuse fields that must be static, or must not, methods with other parameters, and bounds of angles."""
     static = {field.name for field in dataclasses.fields(problem) if field.metadata.get("static")}
     if "max_steps" not in static or not isinstance(problem.max_steps, int):
         _refuse("max_steps: allowed: a field max_steps: int = eqx.field(static=True, default=30)")
