@@ -131,11 +131,13 @@ class OptimisationResult:
         return Picture(figure, "Optimisation", caption, alt, png)
 
     def _column(self, axis: Axis) -> list[Any]:
-        """The values of an axis; as text if its choices are neither all numbers nor all texts."""
+        """The values of an axis; as text if its choices are not all numbers, all texts, or all Booleans."""
         values = [each.point[axis.key] for each in self.evaluations]
         is_plain = isinstance(axis, Range) or any(
-            all(isinstance(value, kind) and not isinstance(value, bool) for value in axis.values)
-            for kind in (int | float, str)
+            all(
+                isinstance(value, kind) and isinstance(value, bool) == (kind is bool) for value in axis.values
+            )
+            for kind in (int | float, str, bool)
         )
         return values if is_plain else list(map(str, values))
 

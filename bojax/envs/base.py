@@ -8,6 +8,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.adapter import Adapter
 from bojax.envs.spaces import Space
+from bojax.numerics.trial import check_names
 from bojax.results.schema import Table
 
 EnvState: TypeAlias = Any
@@ -52,6 +53,11 @@ class Env(eqx.Module):
     count_columns: ClassVar[Table] = ()
 
     max_steps: eqx.AbstractVar[int]
+
+    def __init_subclass__(cls, **kwargs):
+        """Check the names of a user's class, or raise TypeError."""
+        super().__init_subclass__(**kwargs)
+        check_names(cls, Env, ("observation_space", "action_space", "reset", "step", "observe"))
 
     @property
     @abc.abstractmethod

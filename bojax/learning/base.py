@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Space
 from bojax.numerics.lanes import LANES_ON_GPU
+from bojax.numerics.trial import check_names
 from bojax.results.schema import Table
 
 LearnerState: TypeAlias = Any
@@ -60,6 +61,10 @@ class Episode(eqx.Module):
     length: Int[Array, ""]
 
 
+_OF_USERS = "exploration_weight", "check_spaces", "init", "act", "observe", "flush", "end_episode", "values"
+"""Methods that a subclass defines, or may define, with names of its own for their parameters."""
+
+
 class Learner(eqx.Module):
     """A learning algorithm, written for a single run. All methods are pure; the caller keeps the state.
 
@@ -71,6 +76,11 @@ class Learner(eqx.Module):
     lanes_on_cpu: ClassVar[int] = 64
 
     block: eqx.AbstractVar[int]
+
+    def __init_subclass__(cls, **kwargs):
+        """Check the names of a user's class, or raise TypeError."""
+        super().__init_subclass__(**kwargs)
+        check_names(cls, Learner, _OF_USERS)
 
     @property
     def lanes_on_gpu(self) -> int:

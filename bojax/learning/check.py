@@ -1,16 +1,28 @@
-"""A check of a user's learner and schedule by tracing each of their methods once."""
+"""A check of a user's learner and schedule: traces of each method, and calls that must change nothing."""
 
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Key
 
 from bojax.envs.spaces import Space
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.schedules import Schedule
-from bojax.numerics.trial import Misfit, described, is_users, require, require_arrays, require_state, trial
+from bojax.models.checks import is_known
+from bojax.numerics.trial import (
+    Misfit,
+    computed,
+    described,
+    is_users,
+    require,
+    require_arrays,
+    require_state,
+    trial,
+    trial_of,
+)
 
 
 def check_weight(learner: Learner) -> None:
@@ -36,6 +48,12 @@ def check_learner(learner: Learner, observations: Space, actions: Space) -> None
     for own in parts:
         require_arrays(own)
         trial(own, _check_methods, fitted, observations, actions, jax.random.key(0))
+    if _is_own(learner) and is_known(fitted):
+        with trial_of(type(learner).__name__):
+            _check_idle(fitted, observations, actions)
+    if _is_own(learner):
+        with trial_of(type(learner).__name__):
+            _check_idle(fitted, observations, actions)
 
 
 def check_schedule(schedule: Schedule) -> None:
@@ -74,24 +92,76 @@ def _check_methods(
             require(f"state{jax.tree_util.keystr(path)} of init", leaf, jnp.asarray(leaf, number.dtype))
     state = jax.tree.map(jnp.asarray, state)
 
-    acted = learner.act(key, state, observation, exploration)
+    given = _copy(state)
+    leaves = jax.tree.leaves(given)
+    acted = learner.act(key, given, observation, exploration)
+    if any(after is not leaf for after, leaf in zip(jax.tree.leaves(given), leaves, strict=False)):
+        raise Misfit("act changes its state in place; allowed: observe and end_episode return a new one")
     if not (isinstance(acted, tuple) and len(acted) == 2):
         raise Misfit(f"act returns {described(acted)}; allowed: an action and the return expected of it")
     require("the action of act", acted[0], action)
     require("the expected return of act", acted[1], number)
 
     transition = Transition(observation, action, number, observation, no)
-    require_state("observe", learner.observe(key, state, transition, exploration, zero), state)
-    require_state("flush", learner.flush(state), state)
+    require_state("observe", learner.observe(key, _copy(state), transition, exploration, zero), state)
+    require_state("flush", learner.flush(_copy(state)), state)
     rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (learner.block, *x.shape)), transition)
     episode = Episode(rows, zero)
-    require_state("end_episode", learner.end_episode(key, state, episode, exploration), state)
+    require_state("end_episode", learner.end_episode(key, _copy(state), episode, exploration), state)
 
     values = learner.values(state, observation, action)
     if not (isinstance(values, tuple) and len(values) == 2):
         raise Misfit(f"values returns {described(values)}; allowed: Q and U")
     for name, value in zip(("Q", "U"), values, strict=True):
         require(f"{name} of values", value, number)
+
+
+def _check_idle(learner: Learner, observations: Space, actions: Space) -> None:
+    """Refuse methods that change what they must not, and a saved learner that acts otherwise.
+
+    They are called for a run that has ended, too, until all runs of its batch have: what it learned would
+    depend on the others.
+    """
+    state, afters, acted = computed(_idle, learner, observations, actions)
+    for method, after in afters.items():
+        same = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), after, state)
+        if not all(jax.tree.leaves(same)):
+            when = "nothing is pending" if method == "flush" else "exploration.is_learning is false"
+            raise Misfit(f"{method} changes the state although {when}; allowed: the same state")
+    if not np.array_equal(*acted, equal_nan=True):
+        raise Misfit("act takes another action in what policy_state exports; allowed: the same action")
+
+
+def _idle(learner: Learner, observations: Space, actions: Space, key: Key[Array, ""]) -> Any:
+    """A state, those after calls that must not change it, and the actions in it and in what is exported."""
+    number, zero = jnp.ones_like(learner.exploration_weight), jnp.zeros((), jnp.int32)
+    learns, idles = (ExplorationState(number, jnp.asarray(flag)) for flag in (True, False))
+    keys = jax.random.split(key, 9)
+    before, after = observations.sample(keys[0]), observations.sample(keys[1])
+    transition = Transition(before, actions.sample(keys[2]), number, after, jnp.zeros((), bool))
+    rows = jax.tree.map(lambda x: jnp.broadcast_to(x, (learner.block, *x.shape)), transition)
+    episode = Episode(rows, zero + 1)
+    state = learner.init(keys[3], observations, actions, learner.block)
+    state = learner.flush(learner.observe(keys[4], state, transition, learns, zero))
+    state = learner.end_episode(keys[5], state, episode, learns)
+    afters = {
+        "flush": learner.flush(_copy(state)),
+        "observe": learner.observe(keys[6], _copy(state), transition, idles, zero),
+        "end_episode": learner.end_episode(keys[7], _copy(state), episode, idles),
+    }
+    exported, own_key = learner.policy_state(_copy(state)), keys[8]
+    acted = learner.act(jax.random.clone(own_key), exported, before, idles)[0]
+    return state, afters, (learner.act(own_key, _copy(state), before, idles)[0], acted)
+
+
+def _copy(state: Any) -> Any:
+    """The same arrays in containers of their own, which a method may change in place."""
+
+    def own(leaf: Any) -> Any:
+        is_key = jnp.issubdtype(getattr(leaf, "dtype", float), jax.dtypes.prng_key)
+        return jax.random.clone(leaf) if is_key else leaf
+
+    return jax.tree.map(own, state)
 
 
 def _check_exploration(schedule: Schedule) -> None:

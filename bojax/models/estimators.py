@@ -326,6 +326,7 @@ class BayesianLinearRegressor(_Regressor):
         check_finite("features", features)
         check_takes("features", features, 1, X.shape[1], dtype)
         is_learned = check_flag("optimise", self.optimise)
+        _warn_of_offsets(y=y, **({"X": X} if self.features is None else {}))
         precisions = tuple(
             jnp.asarray(check_number(name, getattr(self, name), dtype, is_above=True), dtype)
             for name in ("prior_precision", "noise_precision")
@@ -402,6 +403,18 @@ def _check_resolved(name: str, values: np.ndarray, dtype: str) -> None:
             f"{name}: {dtype} does not resolve values that differ by {np.min(spread[spread > 0.0]):g} around "
             f'{np.mean(values):g}: subtract an offset, or set dtype to "float64"'
         )
+
+
+def _warn_of_offsets(**columns: np.ndarray) -> None:
+    """Name values far from 0 beside their spread: the weight of the constant has the prior of all others."""
+    for name, values in columns.items():
+        centre = np.mean(values, axis=0) if len(values) else 0.0
+        if len(values) and np.any(np.abs(centre) > 100.0 * _magnitude(values, centre)):
+            warnings.warn(
+                f"{name}: differs little around a mean far from 0, which one prior of the weights misfits: "
+                "subtract the mean",
+                stacklevel=3,
+            )
 
 
 def _warn_of_bounds(optimum: Optimum) -> None:

@@ -45,14 +45,15 @@ def is_users(part: Any) -> bool:
 def check_names(cls: type, base: type, own: Collection[str]) -> None:
     """Raise a TypeError if a user's class gives another meaning to a method or property of its base class.
 
-    A helper that has the name of a method by chance would be called in its place.
+    A helper that has the name of a method by chance would be called in its place. Classes of bojax pass.
 
     Args:
         cls: The user's class.
         base: Its base class, one of bojax.
         own: Names that a subclass defines; whether they fit is checked elsewhere.
     """
-    for name in dict.fromkeys([*vars(cls), *getattr(cls, "__annotations__", {})]):
+    names = () if cls.__module__.startswith("bojax.") else (*vars(cls), *vars(cls).get("__annotations__", ()))
+    for name in dict.fromkeys(names):
         theirs, given = getattr(base, name, None), vars(cls).get(name)
         if name in own or name.startswith("__") or not (callable(theirs) or isinstance(theirs, property)):
             continue
@@ -65,7 +66,7 @@ def check_names(cls: type, base: type, own: Collection[str]) -> None:
         )
         if not fits:
             own_name, theirs_name = f"{cls.__name__}.{name}", f"{base.__name__} has {name}{parameters}"
-            raise TypeError(f"{own_name}: bojax's {theirs_name}; allowed: another name")
+            raise TypeError(f"{own_name}: bojax's {theirs_name}; allowed: the same, or another name")
 
 
 def computed(function: Callable[..., Any], *parts: Any) -> Any:

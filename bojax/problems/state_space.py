@@ -74,8 +74,7 @@ class StateProblem(StateModel, Problem):
     def __init_subclass__(cls, **kwargs):
         """Check the names of a user's class, or raise TypeError."""
         super().__init_subclass__(**kwargs)
-        if not cls.__module__.startswith("bojax."):
-            check_names(cls, StateProblem, OF_USERS)
+        check_names(cls, StateProblem, OF_USERS)
 
     @override
     def __check_init__(self):

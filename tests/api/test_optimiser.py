@@ -135,7 +135,7 @@ def test_choices_of_several_types_are_a_column_of_text():
     axes = read_space({"x": ["1", 1, None], "y": [True, False], "z": [1, 2.5]})
     told = Evaluation({"x": 1, "y": True, "z": 1}, 0.0), Evaluation({"x": None, "y": False, "z": 2.5}, 1.0)
     table = bojax.OptimisationResult(told, axes, is_maximised=False, is_noisy=False, search=None).table
-    rows = [("1", "True", 1.0, 0.0), ("None", "False", 2.5, 1.0)]
+    rows = [("1", True, 1.0, 0.0), ("None", False, 2.5, 1.0)]
     assert [tuple(row.values()) for row in table.to_pylist()] == rows
 
 

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.base import ExplorationState, Learner
 from bojax.learning.check import check_learner, check_schedule, check_weight
@@ -132,3 +133,65 @@ def test_misfits_of_a_learner_and_a_schedule_are_named_and_those_that_fit_pass()
     check_weight(learner({}))
     check_learner(learner({}), BOX, BOX)
     check_schedule(Half(weight.astype(jnp.float64)))
+
+
+class Counter(Still):
+    """Adds the rewards of steps that it learns from; `wrong` names what it does besides."""
+
+    mistake: str = eqx.field(static=True, default="")
+
+    def init(self, key, observation_space, action_space, capacity):
+        return {"q": jnp.full(3, 0.5, self.weight.dtype)}
+
+    def act(self, key, state, observation, exploration):
+        if self.mistake == "act":
+            state["q"] = state["q"] + 1.0
+        return state["q"][:1], state["q"][0]
+
+    def observe(self, key, state, transition, exploration, step_in_block):
+        learns = exploration.is_learning | (self.mistake == "observe")
+        return {"q": state["q"] + jnp.where(learns, transition.reward, 0.0)}
+
+    def flush(self, state):
+        return {"q": 0.9 * state["q"]} if self.mistake == "flush" else state
+
+    def end_episode(self, key, state, episode, exploration):
+        return {"q": 0.5 * state["q"]} if self.mistake == "end_episode" else state
+
+    def policy_state(self, state):
+        return {"q": -state["q"]} if self.mistake == "policy_state" else state
+
+
+def test_calls_that_must_not_change_a_learner_do_not():
+    """They are made for a run that has ended, too: its result would depend on how long the others go on."""
+    weight = jnp.float32(0.5)
+    idle = "changes the state although exploration.is_learning is false"
+    messages = {
+        "observe": f"observe {idle}; allowed: the same state",
+        "end_episode": f"end_episode {idle}; allowed: the same state",
+        "flush": "flush changes the state although nothing is pending; allowed: the same state",
+        "act": "act changes its state in place; allowed: observe and end_episode return a new one",
+        "policy_state": "act takes another action in what policy_state exports; allowed: the same action",
+    }
+    check_learner(Counter(weight), BOX, BOX)
+    assert_refused(
+        (lambda name=name: check_learner(Counter(weight, mistake=name), BOX, BOX), f"^Counter: {message}$")
+        for name, message in messages.items()
+    )
+
+
+def test_names_of_methods_of_learners_and_environments_are_not_given_to_helpers():
+    """A helper `summary` or `adapter` would be called by bojax after the run, or for a saved policy."""
+
+    def declared(base, **attributes):
+        return lambda: type("Own", (base,), {"__module__": "own", **attributes})
+
+    assert_refused(
+        [
+            (declared(Learner, summary=lambda self: 1.0), r"^Own.summary: .* has summary\(self, state\);"),
+            (declared(Learner, columns=3), "^Own.columns: bojax's Learner has columns; allowed: the same"),
+            (declared(Env, adapter=lambda self, x: x), r"^Own.adapter: bojax's Env has adapter\(self\);"),
+        ],
+        TypeError,
+    )
+    declared(Learner, check_spaces=lambda self, ours, theirs: None, fitted=Learner.fitted)()

@@ -37,6 +37,20 @@ each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
 NOISES = rng.uniform(0.01, 1.0, 20)
 
 
+def test_a_linear_model_warns_of_means_far_from_zero():
+    random = np.random.default_rng(0)
+    X = random.normal(size=(50, 2))
+    y = X @ [1.0, 2.0] + 3.0 + 0.1 * random.normal(size=50)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        BayesianLinearRegressor(dtype="float64").fit(X, y)
+        own = BayesianLinearRegressor(Polynomial(1, 2), dtype="float64")
+        own.fit(X + 1e3, y)  # features that are given may subtract a mean
+    for name, rows, values in (("y", X, y + 1e5), ("X", X + 1e3, y)):
+        with pytest.warns(UserWarning, match=f"^{name}: differs little around a mean far from 0"):
+            BayesianLinearRegressor(dtype="float64").fit(rows, values)
+
+
 @pytest.mark.parametrize(
     "kernel, reference, noises",
     [
