@@ -151,17 +151,18 @@ def _idle(learner: Learner, observations: Space, actions: Space, key: Key[Array,
     }
     exported, own_key = learner.policy_state(_copy(state)), keys[8]
     acted = learner.act(jax.random.clone(own_key), exported, before, idles)[0]
-    return state, afters, (learner.act(own_key, _copy(state), before, idles)[0], acted)
+    numbers = jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, (state, afters))
+    return *numbers, (learner.act(own_key, _copy(state), before, idles)[0], acted)
 
 
 def _copy(state: Any) -> Any:
     """The same arrays in containers of their own, which a method may change in place."""
+    return jax.tree.map(lambda x: jax.random.clone(x) if _is_key(x) else x, state)
 
-    def own(leaf: Any) -> Any:
-        is_key = jnp.issubdtype(getattr(leaf, "dtype", float), jax.dtypes.prng_key)
-        return jax.random.clone(leaf) if is_key else leaf
 
-    return jax.tree.map(own, state)
+def _is_key(leaf: Any) -> bool:
+    """Whether an array holds keys of JAX, which NumPy has no type for, and which are used once."""
+    return jnp.issubdtype(getattr(leaf, "dtype", float), jax.dtypes.prng_key)
 
 
 def _check_exploration(schedule: Schedule) -> None:

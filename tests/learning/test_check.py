@@ -141,7 +141,7 @@ class Counter(Still):
     mistake: str = eqx.field(static=True, default="")
 
     def init(self, key, observation_space, action_space, capacity):
-        return {"q": jnp.full(3, 0.5, self.weight.dtype)}
+        return {"q": jnp.full(3, 0.5, self.weight.dtype), "key": key}
 
     def act(self, key, state, observation, exploration):
         if self.mistake == "act":
@@ -150,16 +150,16 @@ class Counter(Still):
 
     def observe(self, key, state, transition, exploration, step_in_block):
         learns = exploration.is_learning | (self.mistake == "observe")
-        return {"q": state["q"] + jnp.where(learns, transition.reward, 0.0)}
+        return {**state, "q": state["q"] + jnp.where(learns, transition.reward, 0.0)}
 
     def flush(self, state):
-        return {"q": 0.9 * state["q"]} if self.mistake == "flush" else state
+        return {**state, "q": 0.9 * state["q"]} if self.mistake == "flush" else state
 
     def end_episode(self, key, state, episode, exploration):
-        return {"q": 0.5 * state["q"]} if self.mistake == "end_episode" else state
+        return {**state, "q": 0.5 * state["q"]} if self.mistake == "end_episode" else state
 
     def policy_state(self, state):
-        return {"q": -state["q"]} if self.mistake == "policy_state" else state
+        return {**state, "q": -state["q"]} if self.mistake == "policy_state" else state
 
 
 def test_calls_that_must_not_change_a_learner_do_not():
