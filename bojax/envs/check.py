@@ -5,9 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, DTypeLike, Float, Key
 
-from bojax.envs.base import Env, TimeStep
+from bojax.envs.base import Env, EnvState, TimeStep
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.numerics.trial import Misfit, require, require_arrays, require_state, trial
+from bojax.numerics.trial import (
+    Misfit,
+    is_users,
+    require,
+    require_arrays,
+    require_equal_traces,
+    require_state,
+    trial,
+    trial_of,
+)
 
 
 def check_env(env: Env, dtype: DTypeLike) -> None:
@@ -22,6 +31,9 @@ def check_env(env: Env, dtype: DTypeLike) -> None:
         return
     require_arrays(env)
     trial(env, _check_step, jax.random.key(0), jnp.zeros((), dtype))
+    if is_users(env):
+        with trial_of(type(env).__name__):
+            require_equal_traces(_stepped, env)
     _check_bounds("observation_space", env.observation_space)
     _check_bounds("action_space", env.action_space)
 
@@ -44,6 +56,12 @@ def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None
     for name in ("terminated", "truncated", "success"):
         require(f"TimeStep.{name}", getattr(step, name), jnp.zeros((), bool))
     require_state("step", after, state)
+
+
+def _stepped(env: Env, key: Key[Array, ""]) -> tuple[EnvState, TimeStep]:
+    """The first step of an episode."""
+    keys = jax.random.split(key)
+    return env.step(keys[0], env.reset(keys[1]), env.action_space.example)
 
 
 def _check_space(name: str, space: Space, dtype: jnp.dtype) -> None:

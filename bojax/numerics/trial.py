@@ -78,11 +78,19 @@ def computed(function: Callable[..., Any], *parts: Any) -> Any:
     """
     found = [jax.tree.map(np.asarray, eqx.filter_jit(function)(*parts, jax.random.key(1))) for _ in range(2)]
     agree = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), *found)
-    if not all(jax.tree.leaves(agree)) or not _traces_agree(function, *shapes(parts)):
-        raise Misfit(
-            "not pure: two calls with equal arguments differ; allowed: random numbers of the key alone"
-        )
+    if not all(jax.tree.leaves(agree)):
+        raise Misfit(_IMPURE)
+    require_equal_traces(function, *parts)
     return found[0]
+
+
+_IMPURE = "not pure: two calls with equal arguments differ; allowed: random numbers of the key alone"
+
+
+def require_equal_traces(function: Callable[..., Any], *parts: Any) -> None:
+    """Raise a `Misfit` if two traces of a module-level function of parts and a key are not one program."""
+    if not _traces_agree(function, *shapes(parts)):
+        raise Misfit(_IMPURE)
 
 
 @functools.lru_cache

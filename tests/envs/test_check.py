@@ -58,6 +58,8 @@ class Cart(Env):
         x = state["x"] + self.speed * action
         if self.broken == "draws of the host":
             x = x + jnp.asarray(np.random.normal(), x.dtype)
+        if self.broken == "a generator of its own":
+            x = x + jnp.asarray(np.random.default_rng().normal(), x.dtype)
         if self.broken == "checked by beartype":
             x = _total([x] * 3)
         if self.broken == "draws of Python":
@@ -105,6 +107,7 @@ def test_a_misfit_is_named_and_an_environment_that_fits_passes(monkeypatch):
         lambda: check_env(Cart(speed, "draws of the host"), jnp.float32),
         "^Cart: draws from numpy.random",
     )
+    own = lambda: check_env(Cart(speed, "a generator of its own"), jnp.float32), "^Cart: not pure: two calls"
     bounds = [
         (
             lambda broken=broken: check_env(Cart(speed, broken), jnp.float32),
@@ -116,7 +119,7 @@ def test_a_misfit_is_named_and_an_environment_that_fits_passes(monkeypatch):
         lambda: check_env(Cart(speed, max_steps=0), jnp.float32),
         "^Cart: max_steps is 0; allowed: an",
     )
-    assert_refused([draws, *bounds, no_steps])
+    assert_refused([draws, own, *bounds, no_steps])
     number = eqx.tree_at(lambda env: env.speed, Cart(speed), 0.1)
     array = r"^Cart.speed is a float; allowed: an array, as jnp.asarray\(0.1\)$"
     assert_refused([(lambda: check_env(number, jnp.float32), array)])
