@@ -350,7 +350,11 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
             # What overflows in the precision of a run is refused below, without NumPy's warning.
             with np.errstate(over="ignore"):
                 if number == 0:
-                    observation, _ = env.reset(seed=0)
+                    observation = np.array(env.reset(seed=0)[0])
+                    if not np.array_equal(observation, env.reset(seed=0)[0], equal_nan=True):
+                        note_once(
+                            f"note: {id}: two resets with one seed differ, so that no run can be repeated"
+                        )
                 else:
                     where = f"step {number}"
                     observation, reward, *ends, told = env.step(env.action_space.sample())

@@ -233,6 +233,19 @@ def test_success_that_info_tells_and_nothing_counts_is_noted(registered, capsys)
     assert capsys.readouterr().err == ""
 
 
+class Unseeded(Toy):
+    """A toy that starts anywhere, whatever the seed."""
+
+    def reset(self, *, seed=None, options=None):
+        return np.random.default_rng().uniform(size=self.shape), super().reset(seed=seed)[1]
+
+
+def test_resets_that_ignore_their_seed_are_noted(registered, capsys):
+    registered(Unseeded)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"note: Odd\d+-v0: two resets with one seed differ, so that no run can be .*", line)
+
+
 def test_info_that_does_not_tell_success_is_refused(registered):
     missing = r"success: got info; Odd\d+-v0 has no {} in the info of an episode of {} steps, {}; set"
     both, value = "is_success or success", r'step returns info\["is_success"\] as {}; allowed: True or False'
