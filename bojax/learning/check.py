@@ -51,9 +51,6 @@ def check_learner(learner: Learner, observations: Space, actions: Space) -> None
     if _is_own(learner) and is_known(fitted):
         with trial_of(type(learner).__name__):
             _check_idle(fitted, observations, actions)
-    if _is_own(learner):
-        with trial_of(type(learner).__name__):
-            _check_idle(fitted, observations, actions)
 
 
 def check_schedule(schedule: Schedule) -> None:

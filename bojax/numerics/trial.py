@@ -57,13 +57,12 @@ def check_names(cls: type, base: type, own: Collection[str]) -> None:
         theirs, given = getattr(base, name, None), vars(cls).get(name)
         if name in own or name.startswith("__") or not (callable(theirs) or isinstance(theirs, property)):
             continue
-        is_property = isinstance(theirs, property)
-        parameters = "" if is_property else f"({', '.join(inspect.signature(theirs).parameters)})"
-        fits = (
-            isinstance(given, property)
-            if is_property
-            else callable(given) and parameters == (f"({', '.join(inspect.signature(given).parameters)})")
-        )
+        if isinstance(theirs, property):
+            fits, parameters = isinstance(given, property), ""
+        else:
+            expected = list(inspect.signature(theirs).parameters)
+            fits = callable(given) and list(inspect.signature(given).parameters) == expected
+            parameters = f"({', '.join(expected)})"
         if not fits:
             own_name, theirs_name = f"{cls.__name__}.{name}", f"{base.__name__} has {name}{parameters}"
             raise TypeError(f"{own_name}: bojax's {theirs_name}; allowed: the same, or another name")
