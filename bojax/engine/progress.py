@@ -22,7 +22,7 @@ STILL_SECONDS, STILL_FACTOR = 300.0, 10.0
 """Time without a segment after which a note says so; it is also this factor times the longest segment."""
 
 
-_HANGS = "if the device hangs, press Ctrl-C twice, and go on with --resume"
+_ADVICE = "if the device hangs, press Ctrl-C twice, and go on with --resume"
 
 
 @dataclass(eq=False)
@@ -123,7 +123,7 @@ class SweepProgress:
             still = 0.0 if self._moved is None else time.monotonic() - self._moved
             if still > max(STILL_SECONDS, STILL_FACTOR * self._longest):
                 self._moved = None
-                self.say(f"note: no run has advanced for {duration(still)}; {_HANGS}")
+                self.say(f"note: no run has advanced for {duration(still)}; {_ADVICE}")
             if time.monotonic() - self._shown >= TICK_SECONDS:
                 self._show()
 

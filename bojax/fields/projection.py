@@ -1,7 +1,7 @@
 """A local frame in metres for coordinates in degrees or in a map projection."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from bojax.config.extras import needed
@@ -28,7 +28,7 @@ class Projection:
     origin: tuple[float, float]  # coordinates of the origin of the frame
     scale: tuple[float, float]  # metres that one unit of the coordinates stands for, along x and y
     distortion: float = 0.0  # largest error of lengths in the area, as a share
-    file: str = "the area"  # what it is the frame of, for messages
+    file: str = field(default="the area", compare=False)  # what it is the frame of, for messages
 
     @classmethod
     def of(

@@ -61,8 +61,17 @@ class Episode(eqx.Module):
     length: Int[Array, ""]
 
 
-_OF_USERS = "exploration_weight", "check_spaces", "init", "act", "observe", "flush", "end_episode", "values"
-"""Methods that a subclass defines, or may define, with names of its own for their parameters."""
+_OVERRIDABLE = (
+    "exploration_weight",
+    "check_spaces",
+    "init",
+    "act",
+    "observe",
+    "flush",
+    "end_episode",
+    "values",
+)
+"""Methods that a subclass defines or overrides; of others, it keeps the parameters."""
 
 
 class Learner(eqx.Module):
@@ -80,7 +89,7 @@ class Learner(eqx.Module):
     def __init_subclass__(cls, **kwargs):
         """Check the names of a user's class, or raise TypeError."""
         super().__init_subclass__(**kwargs)
-        check_names(cls, Learner, _OF_USERS)
+        check_names(cls, Learner, _OVERRIDABLE)
 
     @property
     def lanes_on_gpu(self) -> int:

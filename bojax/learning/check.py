@@ -116,8 +116,8 @@ def _check_methods(
 def _check_idle(learner: Learner, observations: Space, actions: Space) -> None:
     """Refuse methods that change what they must not, and a saved learner that acts otherwise.
 
-    They are called for a run that has ended, too, until all runs of its batch have: what it learned would
-    depend on the others.
+    `observe`, `flush` and `end_episode` are also called for runs that have ended, until all runs of the batch
+    have: what a run learned would depend on the others.
     """
     state, afters, acted = computed(_idle, learner, observations, actions)
     for method, after in afters.items():

@@ -42,7 +42,7 @@ def is_users(part: Any) -> bool:
     return not type(part).__module__.startswith("bojax.")
 
 
-def check_names(cls: type, base: type, own: Collection[str]) -> None:
+def check_names(cls: type, base: type, overridable: Collection[str]) -> None:
     """Raise a TypeError if a user's class gives another meaning to a method or property of its base class.
 
     A helper that has the name of a method by chance would be called in its place. Classes of bojax pass.
@@ -50,12 +50,16 @@ def check_names(cls: type, base: type, own: Collection[str]) -> None:
     Args:
         cls: The user's class.
         base: Its base class, one of bojax.
-        own: Names that a subclass defines; whether they fit is checked elsewhere.
+        overridable: Names that a subclass may define; whether what it defines fits is checked elsewhere.
     """
     names = () if cls.__module__.startswith("bojax.") else (*vars(cls), *vars(cls).get("__annotations__", ()))
     for name in dict.fromkeys(names):
         theirs, given = getattr(base, name, None), vars(cls).get(name)
-        if name in own or name.startswith("__") or not (callable(theirs) or isinstance(theirs, property)):
+        if (
+            name in overridable
+            or name.startswith("__")
+            or not (callable(theirs) or isinstance(theirs, property))
+        ):
             continue
         if isinstance(theirs, property):
             fits, parameters = isinstance(given, property), ""

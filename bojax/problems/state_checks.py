@@ -17,7 +17,7 @@ from bojax.models.checks import is_known
 from bojax.numerics.trial import Misfit, computed, described, is_users, require, trial, trial_of
 from bojax.problems import particles
 from bojax.problems.actions import ActionSpace, Box
-from bojax.problems.state_space import OF_USERS, StateProblem
+from bojax.problems.state_space import OVERRIDABLE, StateProblem
 
 _NUM_WALKS, _NUM_STEPS, _NUM_OBSERVATIONS, _NUM_PARTICLES = 8, 3, 256, 1000
 _MOST_DISTINCT = 32
@@ -62,7 +62,7 @@ def _check_fields(problem: StateProblem) -> None:
         _refuse("max_steps: allowed: a field max_steps: int = eqx.field(static=True, default=30)")
     if not isinstance(problem.discount, Array):
         _refuse(f"discount is {described(problem.discount)}; allowed: a field of an array, not a static one")
-    for name in OF_USERS[1:]:
+    for name in OVERRIDABLE[1:]:
         expected = inspect.signature(getattr(StateProblem, name)).parameters
         try:
             inspect.signature(getattr(type(problem), name)).bind(*expected)
@@ -82,7 +82,7 @@ def _check_shapes(problem: StateProblem, key: Key[Array, ""]) -> None:
         name = type(problem.actions).__name__
         _refuse(f"actions is {name}; allowed: a property with a space of bojax.problems.actions, such as Box")
     action = problem.actions.decode(problem.actions.sample(keys[1]))
-    _require_vector("an action of actions", action, problem.discount)
+    _require_vector("an action of the space", action, problem.discount)
     stepped = problem.step(keys[2], state, action)
     if not isinstance(stepped, tuple) or len(stepped) != 3:
         _refuse("step: allowed: three values, the next state, the reward and whether the episode ends")

@@ -32,8 +32,17 @@ NUM_DRAWN = 64
 
 COLLAPSES = Column("collapses", "int32", "", "times that no particle of the belief explained the observation")
 
-OF_USERS = ("actions", "initial", "step", "observe", "log_likelihood", "heuristic_value", "sketch", "filter")
-"""Methods that a subclass defines, or may define."""
+OVERRIDABLE = (
+    "actions",
+    "initial",
+    "step",
+    "observe",
+    "log_likelihood",
+    "heuristic_value",
+    "sketch",
+    "filter",
+)
+"""Methods that a subclass defines or overrides; of others, it keeps the parameters."""
 
 Sketch = dict[str, Float[Array, "*T N P"]]
 """Points by name, see `StateProblem.sketch`: of the true state, then of states of the belief."""
@@ -74,7 +83,7 @@ class StateProblem(StateModel, Problem):
     def __init_subclass__(cls, **kwargs):
         """Check the names of a user's class, or raise TypeError."""
         super().__init_subclass__(**kwargs)
-        check_names(cls, StateProblem, OF_USERS)
+        check_names(cls, StateProblem, OVERRIDABLE)
 
     @override
     def __check_init__(self):
