@@ -3,6 +3,7 @@
 A lane is one run of one point. Each device has its own lanes, and devices do not communicate.
 """
 
+import functools
 import threading
 import time
 from collections import Counter
@@ -15,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import SingleDeviceSharding
-from jaxtyping import Array, Bool, Int, Key, PyTree
+from jaxtyping import Array, Bool, Int, Key, PyTree, UInt
 
 from bojax.engine import executables, program_cache
 from bojax.engine.autotuning import Choices, compile_again, contents_of
-from bojax.engine.devices import Device
+from bojax.engine.devices import Device, on_cpu
 from bojax.engine.gpu_clients import needed_memory
 from bojax.engine.groups import StaticGroup, nodes_with
 from bojax.engine.program import GAINS, Program
@@ -137,7 +138,7 @@ class Programs:
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
         self._sharding = SingleDeviceSharding(device)
-        self._key = jax.device_put(jax.random.key(seed), self._sharding)
+        self._key = jax.random.wrap_key_data(jax.device_put(_key_data(seed), self._sharding))
         self._shared = jax.device_put(self._group.shared, self._sharding)
         first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
         run = self._group.experiment(first, self._shared)
@@ -360,6 +361,17 @@ def _exported(program: Program, device: Device) -> Program:
         return program.export(device)
     except (NotImplementedError, ValueError):
         return program
+
+
+@functools.cache
+def _key_data(seed: int) -> UInt[np.ndarray, " words"]:
+    """The data of the key of a sweep, on the host.
+
+    A key that is made on the device where JAX makes arrays by default could leave it only once all that runs
+    there has ended, so that a thread which prepares programs for another device would wait.
+    """
+    with on_cpu():
+        return np.asarray(jax.random.key_data(jax.random.key(seed)))
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:

@@ -146,6 +146,13 @@ def test_the_carry_is_donated():
     assert all(leaf.is_deleted() for leaf in carry)
 
 
+def test_programs_are_made_without_waiting_for_another_device():
+    compile_toys(device=1)  # what JAX itself puts on its default device, it does once
+    with jax.transfer_guard_device_to_device("disallow_explicit"):
+        programs = compile_toys(device=1)
+        run_all(programs, place(programs, [0], [0]))
+
+
 def test_another_shape_raises():
     program = compile_toys()
     other = compile_toys(3)
