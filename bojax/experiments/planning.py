@@ -136,7 +136,7 @@ class PlanningEpisode(Experiment):
             "planned_value": plan.value,
             "accumulated_reward": accumulated,
             "done": done,
-            **problem.action_row(plan.action),
+            **problem.step_row(plan.action, observation),
             **problem.row(world),
             **problem.belief_row(world, belief),
         }

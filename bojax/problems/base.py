@@ -107,8 +107,8 @@ class Problem(eqx.Module):
     def row(self, world: World) -> dict[str, Scalar]:
         """What `steps.parquet` says about the world after an action; at least one number."""
 
-    def action_row(self, action: Action) -> dict[str, Scalar]:
-        """What `steps.parquet` says about an action; nothing by default."""
+    def step_row(self, action: Action, observation: Observation) -> dict[str, Scalar]:
+        """What `steps.parquet` says about an action and what was observed then; nothing by default."""
         return {}
 
     def belief_row(self, world: World, belief: Belief) -> dict[str, Scalar]:

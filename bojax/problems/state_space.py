@@ -154,18 +154,27 @@ class StateProblem(StateModel, Problem):
     @property
     @override
     def step_columns(self) -> Table:
-        key = jax.random.key(0)
-        action = jax.eval_shape(
-            lambda key: self.action_row(self.actions.decode(self.actions.sample(key))), key
-        )
-        state = jax.eval_shape(lambda key: self.row(self.initial(key)), key)
-        columns = [Column(name, "float64", "", "action") for name in action]
-        columns += [Column(name, "float64", "", "true state after the action") for name in state]
+        columns = [Column(name, "float64", "", meaning) for name, meaning in self._own_columns().items()]
         return (STEP, REWARD, PLANNED_VALUE, ACCUMULATED_REWARD, DONE, *columns)
 
+    def _own_columns(self) -> dict[str, str]:
+        """The names and meanings of the columns of a step that depend on the problem."""
+
+        def rows(key: Key[Array, ""]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+            key_state, key_action, key_step = jax.random.split(key, 3)
+            action = self.actions.decode(self.actions.sample(key_action))
+            after, observation, _ = self.execute(key_step, self.initial(key_state), action)
+            return self.step_row(action, observation), self.row(after)
+
+        of_step, of_state = jax.eval_shape(rows, jax.random.key(0))
+        meanings = {"action": "action", "observation": "observation after it"}
+        found = {name: meanings[name.rpartition("_")[0]] for name in of_step}
+        return found | dict.fromkeys(of_state, "true state after the action")
+
     @override
-    def action_row(self, action: Float[Array, "K"]) -> dict[str, Scalar]:
-        return {f"action_{index}": value for index, value in enumerate(action)}
+    def step_row(self, action: Float[Array, "K"], observation: Observed) -> dict[str, Scalar]:
+        parts = {"action": action, "observation": observation.values}
+        return {f"{name}_{i}": value for name, values in parts.items() for i, value in enumerate(values)}
 
     @override
     def row(self, world: Float[Array, "D"]) -> dict[str, Scalar]:

@@ -143,6 +143,14 @@ class Counter(StateProblem):
         return jnp.where(observation[0] > 2.0, -jnp.inf, 0.0)
 
 
+class Pair(Counter):
+    """Observes the state after an action and twice the action."""
+
+    @override
+    def observe(self, key, state, action, next_state):
+        return jnp.concatenate([next_state, 2.0 * action])
+
+
 def always(problem, key, belief):
     return jnp.ones(1)
 
@@ -180,6 +188,21 @@ def test_an_episode_sums_and_counts(last, steps, collapsed):
     assert found["discounted_return"] == sum(0.5**t * (t + 1) for t in range(steps))
     assert found["return"] == sum(range(1, steps + 1))
     assert (found["steps"], found["collapses"]) == (steps, collapsed)
+
+
+def test_the_table_of_steps_has_actions_observations_and_states():
+    run = PlanningEpisode(Pair(num_particles=8), PolicyPlanner(always))
+    _, rows = advanced(run, lanes=1)
+    assert {name for name in rows if name[-1].isdigit()} == {
+        "action_0",
+        "observation_0",
+        "observation_1",
+        "state_0",
+    }
+    steps = [1.0, 2.0, 3.0, 4.0]
+    assert rows["action_0"][0, :4].tolist() == [1.0] * 4
+    assert rows["observation_0"][0, :4].tolist() == rows["state_0"][0, :4].tolist() == steps
+    assert rows["observation_1"][0, :4].tolist() == [2.0] * 4
 
 
 def test_the_filter_of_an_episode_is_given():
