@@ -1,4 +1,4 @@
-"""Files of a route: CSV, GeoJSON, and the plan format of QGroundControl."""
+"""Files of a route: CSV, GeoJSON, GPX, and the plan format of QGroundControl."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,8 @@ def write_waypoints(
 
     The CSV file has x and y in metres, the coordinates of the area's file if they differ, longitude and
     latitude if the area has a place on the Earth, and the distance from the start. The GeoJSON file holds
-    a line; without a place on the Earth, its coordinates are metres. The plan needs such a place.
+    a line; without a place on the Earth, its coordinates are metres. The plan and the GPX file need such a
+    place.
     """
     degrees = None if projection.crs is None else projection.to_degrees(waypoints)
     columns = {"x": waypoints[:, 0], "y": waypoints[:, 1]}
@@ -33,6 +34,7 @@ def write_waypoints(
     files[f"{stem}.geojson"] = json.dumps(_line(waypoints if degrees is None else degrees, degrees is None))
     if degrees is not None:
         files[f"{stem}.plan"] = json.dumps(_plan(degrees, speed), indent=1)
+        files[f"{stem}.gpx"] = _gpx(degrees)
     for name, content in files.items():
         write_content(folder / name, content)
     return [folder / name for name in files]
@@ -43,6 +45,14 @@ def _line(coordinates: np.ndarray, is_local: bool) -> dict:
     feature = {"type": "Feature", "properties": {"name": "route"}, "geometry": geometry}
     collection = {"type": "FeatureCollection", "features": [feature]}
     return {**collection, "crs": None} if is_local else collection
+
+
+def _gpx(degrees: np.ndarray) -> str:
+    """A route of GPX 1.1, which chart plotters and hand-held receivers read."""
+    points = [f'  <rtept lat="{latitude:.8f}" lon="{longitude:.8f}"/>' for longitude, latitude in degrees]
+    start = '<?xml version="1.0" encoding="UTF-8"?>'
+    opening = '<gpx version="1.1" creator="bojax" xmlns="http://www.topografix.com/GPX/1/1">'
+    return "\n".join([start, opening, " <rte>", *points, " </rte>", "</gpx>", ""])
 
 
 def _plan(degrees: np.ndarray, speed: float | None) -> dict:

@@ -3,6 +3,7 @@
 import csv
 import json
 from functools import partial
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -87,7 +88,11 @@ def test_a_geojson_with_a_hole(tmp_path, capsys):
     assert shapely.covers(shapely.Polygon(OUTER, [HOLE]).buffer(1e-6), line)
     plan = json.loads((out / "waypoints.plan").read_text())
     places = [item["params"][4:6] for item in plan["mission"]["items"]]
-    np.testing.assert_allclose(places, np.stack([rows["latitude"], rows["longitude"]], axis=1), atol=1e-7)
+    degrees = np.stack([rows["latitude"], rows["longitude"]], axis=1)
+    np.testing.assert_allclose(places, degrees, atol=1e-7)
+    route = ElementTree.parse(out / "waypoints.gpx").findall("{*}rte/{*}rtept")
+    places = [[float(point.attrib[name]) for name in ("lat", "lon")] for point in route]
+    np.testing.assert_allclose(places, degrees, atol=1e-7)
     assert (
         "<svg" in (out / "report.html").read_text() or "data:image/svg" in (out / "report.html").read_text()
     )
