@@ -21,6 +21,7 @@ from bojax.engine.runner import ChunkRunner
 from bojax.engine.scheduler import Scheduler
 from bojax.engine.sinks import Sink
 from bojax.engine.tasks import GroupTask, ProgramKey
+from bojax.engine.xla_choices import offer_shipped
 from bojax.results.store import ResultsError
 
 SWITCH_SECONDS = 5e-4
@@ -90,6 +91,8 @@ class _Executor:
         )
         new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
         self._processes = CompileProcesses(number_of_processes(len(new), workers))
+        for device in dict.fromkeys(workers):
+            offer_shipped(device)  # while they start: each would write thousands of files, all at once
         self._locks = {device: new_lock(device) for device in workers}
         self._turns = {device: new_lock(device) for device in workers}
         self._memory = shared_memory(set(workers))
