@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bojax.claims.samples import Measure, enough, most_present, stand_ins
+from bojax.claims.samples import Measure, enough, flags, most_present, stand_ins
 from bojax.claims.settings import Agrees
 from bojax.report import statistics
 from bojax.report.findings import Comparison, Finding
@@ -30,7 +30,8 @@ def agrees(results: Results, test: Agrees) -> Finding:
     values = results.runs_of(point)[name]
     enough(values.size, "run")
     if test.share is not None:
-        size, hits, printed = values.size, int(np.count_nonzero(values)), round(test.share * runs)
+        size, hits = values.size, int(flags(values, label, name).sum())
+        printed = round(test.share * runs)
         interval = statistics.share_difference(hits, size, printed, runs)
         p_value = statistics.fisher_p_value(hits, size, printed, runs)
         is_apart = p_value < 2 * statistics.tail_in_use()

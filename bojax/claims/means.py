@@ -11,6 +11,7 @@ from bojax.claims.samples import (
     enough,
     episodes_in,
     finite,
+    flags,
     in_any,
     interval_of,
     mean_of,
@@ -87,7 +88,7 @@ def share(results: Results, test: Share) -> Finding:
             f"a run of {label} continues after its success, so its steps do not say when it succeeded"
         )
     if window is None:
-        hits = results.runs_of(point)[test.column].astype(bool)
+        hits = flags(results.runs_of(point)[test.column], label, test.column)
     else:
         hits = in_any(results, point, test.column, window)
     condition = test.column

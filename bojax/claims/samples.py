@@ -12,7 +12,9 @@ from typing_extensions import override
 from bojax.claims.settings import Measured
 from bojax.config.claims import Test, Window
 from bojax.report import statistics
+from bojax.report.budgets import times_within
 from bojax.report.findings import Undecidable
+from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats, Interval
 from bojax.report.text import counted
@@ -30,7 +32,9 @@ class Measure:
     # which the mean is taken.
     place: int | Window | None = None
     since: int | Window | None = None  # a place whose value is subtracted
-    missing: float | None = None  # replaces a missing number of `runs.parquet`
+    # Replaces a missing number of `runs.parquet`, and limits a time to a goal or target: a run that never
+    # reached it must not count as sooner than others
+    missing: float | None = None
     statistic: Literal["mean", "sd"] = "mean"  # of the episodes of a window
 
     @classmethod
@@ -77,7 +81,11 @@ class Measure:
         rows = np.searchsorted(table["run"], runs)
         if place is None:
             values = table[self.column][rows]
-            return values if self.missing is None else np.nan_to_num(values, nan=self.missing)
+            if self.missing is None:
+                return values
+            if self.column in ENDS:
+                return times_within(values, self.missing)
+            return np.nan_to_num(values, nan=self.missing)
         if isinstance(place, int):
             if results.num_steps < place:
                 lasted = f"no run lasted {counted(place, 'step')}"
@@ -200,6 +208,14 @@ def most_present(values: NDArray[Any], name: str, column: str, missing: float) -
         )
         raise Undecidable(f"{lacking} of {counted(is_there.size, 'run')} of {name} have no {column}, {limit}")
     return is_there
+
+
+def flags(values: NDArray[Any], name: str, column: str) -> NDArray[np.bool_]:
+    """Whether a column of numbers or Booleans is true or not zero in each run, all of which have a value."""
+    if values.dtype.kind not in "bfiu":
+        raise Undecidable(f"{column} holds neither Booleans nor numbers")
+    finite(values, name, column)
+    return values.astype(bool)
 
 
 def finite(values: NDArray[Any], name: str, column: str) -> None:

@@ -117,7 +117,8 @@ class Order(Measured, frozen=True):
     censored_at: float | None = Field(
         default=None,
         description="number that stands for a missing one, such as the number of episodes after which a run "
-        "was stopped (means are then restricted means)",
+        "was stopped; a time to a goal or target beyond it counts as this number too (means are then "
+        "restricted means)",
     )
 
     @pydantic.model_validator(mode="after")
@@ -127,6 +128,8 @@ class Order(Measured, frozen=True):
         _distinct(sum(self.tiers, ()), "less" if self.greater is None else "greater")
         if self.baseline is not None and not (self.margin < 1 and self.margin != 0):
             raise ValueError("margin: with a baseline it is a share of a lead, below 1 and not 0")
+        if self.censored_at is not None and self.place is not None:
+            raise ValueError("censored_at: needs a column of runs.parquet, without step or window")
         return self
 
     @pydantic.model_validator(mode="after")

@@ -287,6 +287,17 @@ class TestAgrees:
             assert finding.verdict == verdict and finding.ours == hits / 200
         assert finding.decisive.interval.estimate == 0.0
 
+    def test_a_share_needs_a_number_of_every_run(self):
+        """A missing time to the goal is no time, and text is neither true nor false."""
+        text = "holds neither Booleans nor numbers"
+        for values, reason in (
+            ([np.nan, 3.0] * 20, "20 runs of a without a finite value"),
+            (["b"] * 40, text),
+        ):
+            for test in (self.SHARE, {"kind": "share", "label": "a", "column": "value", "above": 0.5}):
+                with pytest.raises(Undecidable, match=reason):
+                    judge(numbers(values), test)
+
     def test_fishers_exact_test_tells_shares_apart(self):
         # 19 of 20 and 200 of 200: p = 0.09, although Newcombe's interval of the difference excludes 0.
         for share, verdict in ((0.95, YES), (0.8, NO)):

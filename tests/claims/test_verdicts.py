@@ -169,6 +169,20 @@ class TestOrder:
             assert finding.verdict == verdict
             assert f"value ({limit:g} where missing)" in finding.method and f"b {limit:g}" in finding.ours
 
+    def test_a_run_that_never_reached_its_goal_is_not_sooner_than_others(self):
+        times = {"a": np.arange(30.0, 70.0), "b": np.full(40, np.nan)}
+        results = in_memory({name: {"steps_to_goal": column} for name, column in times.items()})
+        test = {"kind": "order", "column": "steps_to_goal"}
+        for limit, verdict in ((12.0, OPEN), (50.0, NO), (200.0, NO)):
+            finding = judge(results, {**test, "less": ["b", "a"], "censored_at": limit})
+            assert finding.verdict == verdict
+            assert finding.decisive.interval.estimate == np.minimum(times["a"], limit).mean() - limit
+
+    def test_a_number_for_missing_ones_needs_a_column_of_runs(self):
+        for place in ({"step": 3}, {"window": {"from": 1, "to": 2}}):
+            with pytest.raises(pydantic.ValidationError, match="censored_at: needs a column of runs.parquet"):
+                judge(None, {**ORDER, "greater": ["a", "b"], "censored_at": 5.0, **place})
+
     def test_shares_are_compared_run_by_run_as_by_bonett_and_price(self):
         finding = judge(flags(200, 30, 10), {**ORDER, "greater": ["a", "b"]})
         interval = finding.decisive.interval
