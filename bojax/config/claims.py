@@ -32,6 +32,20 @@ class Test(Registered, frozen=True):
         found = getattr(self, "labels", (getattr(self, "label", None), getattr(self, "to", None)))
         return tuple(name for name in found if name is not None)
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that the test reads: its settings `column` and `also`."""
+        column = getattr(self, "column", None)
+        return () if column is None else (column, *getattr(self, "also", ()))
+
+    @property
+    def table(self) -> Literal["runs", "episodes", "steps"]:
+        """The table of these columns: that of its windows of episodes or its steps, or else of runs."""
+        values = dict(self)
+        if any(isinstance(value, Window) for value in values.values()):
+            return "episodes"
+        return "runs" if values.get("step", values.get("first")) is None else "steps"
+
 
 class Window(Schema, frozen=True):
     """Episodes over which a column of episodes.parquet is averaged within a run."""

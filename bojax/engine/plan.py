@@ -80,12 +80,24 @@ def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mappin
 
 
 def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
-    """Refuse a column of the report that `runs.parquet` will not have."""
-    known = {column.name: None for module in modules for column in module.tables["runs"]}
+    """Refuse columns of the report and of claims that the tables will not have as numbers or Booleans."""
+    known: dict[str, dict[str, None]] = {"runs": {}, "episodes": {}, "steps": {}}
+    for module in modules:
+        for table, columns in module.tables.items():
+            known[table] |= {column.name: None for column in columns if column.dtype != "string"}
+
+    def require(name: str, table: str, where: str) -> None:
+        if name not in known[table]:
+            allowed = allowed_names(name, known[table])
+            raise ConfigError(f"{where}: got {shown(name)}; unknown column of {table}.parquet{allowed}")
+
     for key in ("rank_by", "column"):
-        name = (sweep.report.get(key) or "").removeprefix("-")
-        if name and name not in known:
-            raise ConfigError(f"report.{key}: got {shown(name)}; unknown column{allowed_names(name, known)}")
+        if name := (sweep.report.get(key) or "").removeprefix("-"):
+            require(name, "runs", f"report.{key}")
+    known["runs"]["nans"] = None  # which the merged table has
+    for index, claim in enumerate(sweep.claims):
+        for name in claim.test.columns:
+            require(name, claim.test.table, f"claims.{index}.test.column")
 
 
 def _grouped(sweep: Sweep) -> tuple[list[Experiment], list[StaticGroup]]:

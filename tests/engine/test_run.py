@@ -12,6 +12,7 @@ import jax
 import numpy as np
 import pytest
 
+from bojax.config.claims import Claim
 from bojax.config.limits import Limit
 from bojax.engine import batch, chunks, compiler, execute, program_cache, tasks
 from bojax.engine.chunks import Layout
@@ -517,8 +518,41 @@ def test_a_column_that_no_run_has_is_refused_before_anything_is_written(tmp_path
     wrong = replace(sweep, report={**sweep.report, key: "-returns"})
     assert run_sweep(wrong, tmp_path / "toy") == 2
     message = one_error(capsys)
-    assert message.startswith(f'error: report.{key}: got "returns"; unknown column; allowed: ')
+    assert message.startswith(
+        f'error: report.{key}: got "returns"; unknown column of runs.parquet; allowed: '
+    )
     assert message.endswith('did you mean "return"?') and not (tmp_path / "toy").exists()
+
+
+@pytest.mark.parametrize(
+    ("test", "message"),
+    [
+        ({"kind": "mean", "column": "retrun", "above": 0}, '"retrun"; unknown column of runs.parquet'),
+        (
+            {"kind": "mean", "column": "return", "above": 0, "also": ["seed"]},
+            '"seed"; unknown column of runs',
+        ),
+        ({"kind": "mean", "column": "return", "step": 2, "above": 0}, '"return"; unknown column of steps'),
+        (
+            {"kind": "trend", "column": "return", "from": 1, "to": 2, "direction": "rises"},
+            '"return"; unknown column of steps.parquet; allowed: step, x, y',
+        ),
+        (
+            {"kind": "share", "column": "success", "window": {"from": 1, "to": 2}, "above": 0.5},
+            '"success"; unknown column of episodes',
+        ),
+    ],
+)
+def test_a_column_of_a_claim_that_no_table_has_is_refused_before_anything_is_written(
+    tmp_path, capsys, test, message
+):
+    claims = [
+        Claim.model_validate({"id": id, "source": "s", "claim": "c", "test": {"label": "toy", **each}})
+        for id, each in (("a", {"kind": "mean", "column": "nans", "below": 1}), ("b", test))
+    ]
+    assert run_sweep(replace(toy_sweep(runs=2), claims=(*claims,)), tmp_path / "toy") == 2
+    assert one_error(capsys).startswith(f"error: claims.1.test.column: got {message}")
+    assert not (tmp_path / "toy").exists()
 
 
 def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
