@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from bojax.config.errors import ConfigError, allowed_names, shown
+from bojax.config.errors import ConfigError, allowed_names, note_once, shown
 from bojax.config.limits import CHUNKS
 from bojax.config.points import Point, Sweep
 from bojax.engine.build import build
@@ -58,6 +58,7 @@ def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
     """
     modules, groups = _grouped(sweep)
     _check_columns(sweep, modules)
+    _note_equal_points(sweep)
     return _make_plan(sweep, modules, groups, device_description(suited(devices)))
 
 
@@ -98,6 +99,16 @@ def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
     for index, claim in enumerate(sweep.claims):
         for name in claim.test.columns:
             require(name, claim.test.table, f"claims.{index}.test.column")
+
+
+def _note_equal_points(sweep: Sweep) -> None:
+    """Say that points are the same experiment under two names, whose runs are equal."""
+    known: dict[str, Point] = {}
+    pairs = [(known.setdefault(point.config.model_dump_json(), point), point) for point in sweep.points]
+    if pairs := [pair for pair in pairs if pair[0] is not pair[1]]:
+        names = [", ".join(f"{key} {value}" for key, value in point.swept.items()) for point in pairs[0]]
+        more = f" (and {len(pairs) - 1} more)" if len(pairs) > 1 else ""
+        note_once(f"note: points with the same settings have equal runs: {'; '.join(names)}{more}")
 
 
 def _grouped(sweep: Sweep) -> tuple[list[Experiment], list[StaticGroup]]:

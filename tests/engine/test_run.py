@@ -555,6 +555,13 @@ def test_a_column_of_a_claim_that_no_table_has_is_refused_before_anything_is_wri
     assert not (tmp_path / "toy").exists()
 
 
+def test_points_with_the_same_settings_are_told(tmp_path, capsys):
+    points = [{"scale": 1.0}, {"scale": 2.0}, {"scale": 1.0, "max_length": 12}]
+    assert run_sweep(toy_sweep(*points, runs=2), tmp_path / "toy") == 0
+    told = "note: points with the same settings have equal runs: scale 1.0; scale 1.0, max_length 12\n"
+    assert capsys.readouterr().err.count(told) == 1
+
+
 def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("bojax.engine.plan.CHUNKS", Limit("chunks", 2**60, at_least=1))
     assert run_toy(tmp_path / "toy", runs=6, lanes_per_device=2) == 2
