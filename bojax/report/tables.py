@@ -12,7 +12,7 @@ from bojax.report import statistics
 from bojax.report.budgets import interval_of_times
 from bojax.report.ranking import RankedPoint, measure_of, ranking
 from bojax.report.source import Point, Results, swept_keys
-from bojax.report.text import MISSING, counted, heading, is_number, joined, number, plain, seconds
+from bojax.report.text import MISSING, counted, exact, heading, is_number, joined, number, plain, seconds
 from bojax.results.store import ResultsError
 
 FEW_POINTS = 12  # most points of a sweep that need no table of ranks
@@ -232,7 +232,7 @@ def settings(results: Results) -> tuple[list[tuple[str, str]], list[tuple[str, l
 
 def flatten(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A nested mapping as dotted paths and values."""
-    return [(path, plain(value)) for path, value in leaves(config)]
+    return [(path, exact(value)) for path, value in leaves(config)]
 
 
 def _measures(results: Results) -> list[_Measure]:

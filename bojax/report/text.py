@@ -70,6 +70,14 @@ def plain(value: Any) -> str:
     return str(value)
 
 
+def exact(value: Any) -> str:
+    """A setting on one line, its numbers with all their digits."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(exact, value)) or "[]"
+    is_rounded = isinstance(value, float) and float(plain(value)) != value
+    return repr(value) if is_rounded else plain(value)
+
+
 def minus(text: str) -> str:
     """The text of a number with a minus sign in place of its hyphen, as numbers are typeset."""
     return text.replace("-", "\N{MINUS SIGN}")

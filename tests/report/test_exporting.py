@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import struct
 import sys
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from bojax.cli.main import main
 from bojax.report.exporting.build import export
 from bojax.report.exporting.content import exported
 from bojax.report.source import load
+from bojax.report.text import exact
 from tests.report.synthetic import edit_manifest, write_learning, write_results
 from tests.transcript import cases
 
@@ -72,6 +74,21 @@ class TestContent:
     def test_settings_are_flat(self, points):
         assert points[0].settings["learner.kind"] == "emu-q"
         assert (points[0].settings["runs"], points[0].settings["seed"]) == ("5", "0")
+
+    def test_settings_have_all_their_digits(self, car, tmp_path):
+        shutil.copytree(car, tmp_path / "car")
+        numbers = {"discount": 0.123456789, "prior_precision": 2.0}
+        edit_manifest(tmp_path / "car", lambda found: found["points"][0]["config"]["learner"].update(numbers))
+        settings = exported(load(tmp_path / "car"))[0].settings
+        assert [settings[f"learner.{name}"] for name in numbers] == ["0.123456789", "2"]
+        assert exact([0.1, 1 / 3]) == "0.1, 0.3333333333333333"
+
+    def test_without_episodes_there_are_no_curves(self, car, points, tmp_path):
+        shutil.copytree(car, tmp_path / "car")
+        (tmp_path / "car" / "episodes.parquet").unlink()
+        found = exported(load(tmp_path / "car"))
+        assert [each.curves for each in found] == [[], [], []]
+        assert [each.scalars for each in found] == [each.scalars for each in points]
 
 
 def test_csv_files_hold_every_number(car, points, tmp_path):

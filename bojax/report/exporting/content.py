@@ -83,7 +83,8 @@ def _curves(results: Results, point: Point, is_learning: bool) -> list[MeanCurve
         name = methods.PLANNING_CURVE
         return [_mean_curve(name, "step", 0, results.by_step(point, name))] if name in results.steps else []
     columns = [name for name in methods.columns_of(results) if name in results.episodes]
-    phases = [phase for phase in methods.PHASES if (results.episodes["phase"] == phase).any()]
+    known = results.episodes["phase"] if results.episodes else ()
+    phases = [phase for phase in methods.PHASES if phase in known]
     return [
         _mean_curve(f"{phase}/{name}", "episode", 1, results.by_episode(point, name, phase))
         for phase in phases
