@@ -1,5 +1,6 @@
 """What a report shows of a sweep that learns a field: maps, paths into walls, errors beside the thesis's."""
 
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -167,6 +168,13 @@ class TestErrors:
     def test_the_page_has_both(self, page):
         assert "thesis 72.9" in page and "thesis 1.71" in page
         assert "report.thesis has runtime_s, which is no column of the results." in page
+
+    def test_a_name_that_no_setting_has_is_noted(self, folder):
+        results = load(folder)
+        thesis = {"kcbts": {"rmse": 1.0}, "kcbst": {"rmse": 2.0}}
+        report = results.report.model_copy(update={"thesis": thesis})
+        results = replace(results, manifest=results.manifest.model_copy(update={"report": report}))
+        assert thesis_gaps(results) == ["report.thesis has kcbst, which is the name of no setting."]
 
     def test_the_figure_has_a_panel_per_measure_and_one_per_ratio(self, folder):
         drawn = drawing(load(folder), "errors")
