@@ -16,6 +16,7 @@ from bojax.claims.samples import (
     interval_of,
     mean_of,
     paired,
+    refuse_any_share,
     stand_ins,
 )
 from bojax.claims.settings import Mean, Ratio, Share, Similar, Trend
@@ -34,6 +35,10 @@ def mean(results: Results, test: Mean) -> Finding:
     (point,), chosen = stand_ins(results, test, measure)
     interval, runs, method = mean_of(results, test, point, measure)
     sides = {"above": test.above, "below": test.below}
+    if measure.is_share(results) and not all(
+        0 <= bound <= 1 for bound in sides.values() if bound is not None
+    ):
+        raise Undecidable(f"the mean of {measure} is a share: allowed: thresholds from 0 to 1")
     bounds = " and ".join(f"{side} {bound:g}" for side, bound in sides.items() if bound is not None)
     return Finding.between(
         test.above,
@@ -205,6 +210,8 @@ def similar(results: Results, test: Similar) -> Finding:
     spread = measure if spread_at is None else Measure(test.column, spread_at)
     points, chosen = stand_ins(results, test, measure)
     is_share, is_ratio = measure.is_share(results) and spread_at is None, test.factor is not None
+    if is_share:
+        refuse_any_share(test.margin)
     at, later = (paired(results, test, points, each).astype(np.float64) for each in (measure, spread))
     table = np.concatenate([at, later], axis=1)
     means = statistics.bootstrap_means(table)

@@ -6,7 +6,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from bojax.claims.holm import holm_intervals
-from bojax.claims.samples import Measure, episodes_in, interval_of, paired, stand_ins
+from bojax.claims.samples import Measure, episodes_in, interval_of, paired, refuse_any_share, stand_ins
 from bojax.claims.settings import Order
 from bojax.config.claims import Window
 from bojax.report import statistics
@@ -30,6 +30,8 @@ def order(results: Results, test: Order) -> Finding:
     points, chosen = stand_ins(results, test, measure, sign)
     table = paired(results, test, points, measure)
     is_share = measure.is_share(results)
+    if is_share and baseline is None:
+        refuse_any_share(margin)
     numbers = np.asarray(table, dtype=np.float64)
     values = dict(zip(test.names, numbers.T, strict=True))
     pairs = [pair for above, below in pairwise(tiers) for pair in product(above, below)]

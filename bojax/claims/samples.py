@@ -231,6 +231,12 @@ def enough(count: int, noun: str) -> None:
         raise Undecidable(f"{counted(count, noun)}: at least {MIN_RUNS} are needed for a verdict")
 
 
+def refuse_any_share(margin: float | None) -> None:
+    """Refuse a margin that holds for any two shares."""
+    if margin is not None and margin >= 1:
+        raise Undecidable(f"a margin of {margin:g} holds for any two shares; allowed: < 1")
+
+
 def episodes_in(window: Window) -> str:
     """A window in words."""
     tests = "the tests after " if window.phase == "test" else ""

@@ -193,6 +193,22 @@ class TestOrder:
         expected = first - second - half, first - second + half
         assert (interval.low, interval.high) == pytest.approx(expected, abs=0.004)
 
+    def test_bounds_that_hold_for_any_share_decide_nothing(self):
+        results, one = flags(200, 30, 10), {"column": "value", "label": "a"}
+        for test, reason in (
+            ({**one, "kind": "mean", "above": -1.0}, "a share: allowed: thresholds from 0 to 1"),
+            ({**one, "kind": "mean", "above": 0.0, "below": 1.5}, "thresholds from 0 to 1"),
+            ({**ORDER, "greater": ["b", "a"], "margin": 1.0}, "a margin of 1 holds for any two"),
+            (
+                {**ORDER, "kind": "similar", "labels": ["a", "b"], "margin": 2.0},
+                "a margin of 2 holds for any two shares",
+            ),
+        ):
+            with pytest.raises(Undecidable, match=reason):
+                judge(results, test)
+        with pytest.raises(pydantic.ValidationError, match="tolerance: got 1; allowed of a share: < 1"):
+            judge(results, {"kind": "agrees", "share": 0.5, "runs": 20, "tolerance": 1.0} | one)
+
     def test_few_runs_that_differ_decide_nothing_about_shares(self):
         for few in (0, 1, 4):  # four of four is 0.06 one-sided in the exact test of McNemar
             finding = judge(flags(200, few, 0), {**ORDER, "greater": ["a", "b"]})
