@@ -218,6 +218,9 @@ def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     assert ("the config as written, which is not worse there: mean" in capsys.readouterr().out) == is_told
     assert tune(out, "--resume", "learner.initial_q=1") == 2
     assert "cannot resume, its plan has changed: config.learner: additive -> " in capsys.readouterr().err
+    assert tune(out, "--resume", rounds=1) == 2
+    assert f"error: {out}: has more rounds than --budget; allowed: >= 36" in capsys.readouterr().err
+    assert contents(out) == contents(undisturbed)
 
 
 def test_a_search_that_begins_in_a_new_folder_says_so(tmp_path, monkeypatch, capsys):
