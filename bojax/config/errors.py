@@ -134,7 +134,8 @@ def from_validation(
     first = lines[0]
     others = len(lines) - 1 + sum(line.get("ctx", {}).get("others", 0) for line in lines)
     more = f" (and {others} more error{'s' * (others > 1)})" if others else ""
-    return ConfigError(f"{locate(first['loc'])}: {_message(first, siblings)}{more}")
+    where = locate(first["loc"]).removesuffix(": ")  # a check of a whole file has no path
+    return ConfigError(f"{where}: {_message(first, siblings)}{more}")
 
 
 _EXPECTED = {
