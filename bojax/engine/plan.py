@@ -57,7 +57,7 @@ def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
         ResultsError: A saved learner cannot be read.
     """
     modules, groups = _grouped(sweep)
-    _check_columns(sweep, modules)
+    _check_columns(sweep, [modules[group.points[0]] for group in groups])
     _note_equal_points(sweep)
     return _make_plan(sweep, modules, groups, device_description(suited(devices)))
 
