@@ -116,12 +116,23 @@ class Simulator(eqx.Module):
         return self.substeps * float(self.mujoco_model.opt.timestep)
 
     def state(self, qpos: Float[Array, "Q"], qvel: Float[Array, "V"]) -> RobotState:
-        """A state with these positions and velocities."""
+        """A state with these positions and velocities.
+
+        Raises:
+            ValueError: Their numbers are not those of the model.
+        """
+        self._check(qpos, "nq", "generalised positions (a free joint has 7, a ball joint 4)")
+        self._check(qvel, "nv", "generalised velocities (a free joint has 6, a ball joint 3)")
         qpos, qvel = qpos.astype(jnp.float32), qvel.astype(jnp.float32)
         return RobotState(qpos, qvel, jnp.zeros_like(qvel))
 
     def advance(self, state: RobotState, control: Float[Array, "U"]) -> RobotState:
-        """The state after `substeps` steps under constant controls, which MuJoCo clips to their ranges."""
+        """The state after `substeps` steps under constant controls, which MuJoCo clips to their ranges.
+
+        Raises:
+            ValueError: The number of controls is not that of the model.
+        """
+        self._check(control, "nu", "controls")
         return self._advance(state, control)
 
     def sites(self, state: RobotState) -> Float[Array, "N 3"]:
@@ -133,6 +144,11 @@ class Simulator(eqx.Module):
         numbers = jnp.concatenate([state.qpos, state.qvel, state.qacc_warmstart])
         fastest = jnp.max(jnp.abs(state.qvel)).astype(self.physics.max_speed.dtype)
         return ~jnp.all(jnp.isfinite(numbers)) | (fastest > self.physics.max_speed)
+
+    def _check(self, given: Float[Array, "N"], size: str, what: str) -> None:
+        needed = getattr(self.mujoco_model, size)
+        if given.shape[-1:] != (needed,):
+            raise ValueError(f"the model has {needed} {what}, an array has the shape {given.shape}")
 
     @property
     def _advance(self) -> Any:
@@ -313,6 +329,8 @@ def _compiled(configured: ConfiguredModel) -> MjModel:
         raise ValueError(f"MuJoCo refuses the model: {one_line(error)}") from error
     if compiled.nv == 0:
         raise ValueError("the model has no joints")
+    if unknown := _not_numbers(compiled):
+        raise ValueError(f"the model has NaN: {unknown}")
     if further := _further_state(compiled):
         raise ValueError(f"the state of the model has more than positions and velocities: {further}")
     return compiled
@@ -410,6 +428,14 @@ def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: An
     return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 
 
+def _not_numbers(model: MjModel) -> str:
+    """Fields of a model with a NaN, separated by commas; "" if none. MuJoCo only warns of them."""
+    parts = ("", model), ("opt.", model.opt)
+    fields = ((prefix + name, getattr(part, name)) for prefix, part in parts for name in dir(part))
+    numbers = ((name, x) for name, x in fields if isinstance(x, float | np.ndarray))
+    return ", ".join(name for name, x in numbers if np.asarray(x).dtype.kind == "f" and np.isnan(x).any())
+
+
 def _further_state(model: MjModel) -> str:
     """Features whose state between steps `RobotState` does not have, separated by commas; "" if none."""
     found = {
@@ -424,13 +450,36 @@ def _further_state(model: MjModel) -> str:
 
 def _ignored(model: MjModel) -> str:
     """Features of a model that MJX ignores silently, separated by commas; "" if none."""
+    option = model.opt
+    switched_off = mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
+    polynomials = (
+        model.jnt_stiffnesspoly,
+        model.dof_dampingpoly,
+        model.tendon_stiffnesspoly,
+        model.tendon_dampingpoly,
+    )
+    of_actuators = model.actuator_damping, model.actuator_dampingpoly, model.actuator_armature
     found = {
         "plugins": model.nplugin > 0,
-        "noslip iterations": model.opt.noslip_iterations > 0,
+        "noslip iterations": option.noslip_iterations > 0,
         "sleeping bodies": _may_sleep(model),
-        "the integrator discrete": model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE,
+        "the integrator discrete": option.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE,
+        # MJX then leaves out all passive forces.
+        "springs or dampers that are switched off by a flag": bool(option.disableflags & switched_off),
+        "springs or dampers that are not linear": any(x.any() for x in polynomials),
+        "damping or armature of actuators": any(x.any() for x in of_actuators),
+        "groups of actuators that are switched off": _has_disabled_actuators(model),
+        "ellipsoids in a fluid": bool(model.geom_fluid[:, 0].any())
+        and bool(option.density > 0 or option.viscosity > 0),
+        "adhesion of geoms": bool(model.geom_adhesion.any() or model.pair_adhesion.any()),
+        "surfaces that move": bool(model.geom_surfacevel.any()),
     }
     return ", ".join(what for what, is_there in found.items() if is_there)
+
+
+def _has_disabled_actuators(model: MjModel) -> bool:
+    disabled = int(model.opt.disableactuator)
+    return any(0 <= group < 31 and disabled >> group & 1 for group in model.actuator_group.tolist())
 
 
 def _may_sleep(model: MjModel) -> bool:

@@ -163,11 +163,12 @@ CYLINDER_ON_BOX = """
 """
 
 
-def slider(extension="", actuator="", option="", further="", sleep="allowed"):
+def slider(extension="", actuator="", option="", further="", sleep="allowed", joint="", geom=""):
     """A mass on a rail."""
     return (
         f"<mujoco>{option}<extension>{extension}</extension><worldbody><body sleep='{sleep}'>"
-        "<joint name='x' type='slide'/><geom size='0.1'/><site pos='0.1 0 0.2'/></body></worldbody>"
+        f"<joint name='x' type='slide' {joint}/><geom size='0.1' {geom}/><site pos='0.1 0 0.2'/>"
+        "</body></worldbody>"
         f"<actuator>{actuator}</actuator>{further}</mujoco>"
     )
 
@@ -177,6 +178,7 @@ INTEGRAL = (
     "<plugin plugin='mujoco.pid'><instance name='pid'><config key='ki' value='1'/></instance></plugin>",
     "<plugin joint='x' plugin='mujoco.pid' instance='pid' actdim='1'/>",
 )
+OF_GROUP_1 = "<motor joint='x' ctrlrange='-1 1' gear='9' group='1'/>"
 CAN_SLEEP = "<option><flag sleep='enable'/></option>"
 
 
@@ -214,6 +216,44 @@ BY_C_ALONE = [
     (slider(option="<option noslip_iterations='3'/>"), "MJX cannot simulate the model: noslip iterations"),
     (slider(option=CAN_SLEEP), "MJX cannot simulate the model: sleeping bodies"),
     (slider(*PID), "MJX cannot simulate the model: plugins"),
+    (
+        slider(option="<option><flag spring='disable'/></option>", joint="damping='5'"),
+        "MJX cannot simulate the model: springs or dampers that are switched off",
+    ),
+    (
+        slider(option="<option><flag damper='disable'/></option>", joint="stiffness='5' springref='1'"),
+        "MJX cannot simulate the model: springs or dampers that are switched off",
+    ),
+    (
+        slider(joint="damping='1 5 9'"),
+        "MJX cannot simulate the model: springs or dampers that are not linear",
+    ),
+    (
+        slider(joint="stiffness='1 5 9' springref='1'"),
+        "MJX cannot simulate the model: springs or dampers that are not linear",
+    ),
+    (
+        slider(further="<tendon><fixed damping='1 9'><joint joint='x' coef='1'/></fixed></tendon>"),
+        "MJX cannot simulate the model: springs or dampers that are not linear",
+    ),
+    (
+        slider(actuator="<motor joint='x' damping='5'/>"),
+        "MJX cannot simulate the model: damping or armature of actuators",
+    ),
+    (
+        slider(actuator="<motor joint='x' armature='5'/>"),
+        "MJX cannot simulate the model: damping or armature of actuators",
+    ),
+    (
+        slider(option="<option actuatorgroupdisable='1'/>", actuator=OF_GROUP_1),
+        "MJX cannot simulate the model: groups of actuators that are switched off",
+    ),
+    (
+        slider(option="<option density='1000'/>", geom="fluidshape='ellipsoid'"),
+        "MJX cannot simulate the model: ellipsoids in a fluid",
+    ),
+    (slider(geom="adhesion='3'"), "MJX cannot simulate the model: adhesion of geoms"),
+    (slider(geom="surfacevel='1 0 0'"), "MJX cannot simulate the model: surfaces that move"),
     (
         slider(
             actuator="<motor joint='x'/>",
@@ -259,11 +299,16 @@ def test_the_sites_of_a_model_with_pairs_that_mjx_refuses():
 
 
 @pytest.mark.parametrize("impl", ["auto", "jax", "c"])
-def test_what_no_implementation_can_simulate_is_refused_by_all(impl):
+def test_what_no_implementation_can_simulate_is_refused_by_all(impl, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warning of a NaN to a file
     no_joints = "<body><geom size='0.1'/></body>"
     refused = (
         ("<mujoco><worldbody/></mujoco>", "the model has no joints"),
         (f"<mujoco><worldbody>{no_joints}</worldbody></mujoco>", "the model has no joints"),
+        # MuJoCo would simulate the second one without its limit.
+        (slider(joint="damping='nan'"), "the model has NaN: dof_damping"),
+        (slider(joint="range='nan 1'"), "the model has NaN: jnt_range"),
+        (slider(option="<option timestep='nan'/>"), r"the model has NaN: opt\.timestep"),
         (slider(*INTEGRAL), "more than positions and velocities: .*activation of their own"),
         (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
         (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
@@ -272,6 +317,33 @@ def test_what_no_implementation_can_simulate_is_refused_by_all(impl):
     assert_refused((simulated(xml, impl), reason) for xml, reason in refused)
     found = Simulator(build(MJX(), "float32"), RobotModel(slider(sleep="init")), substeps=1)
     assert found.impl == ("pallas" if kernels_run_here() else "jax")
+
+
+FLYING_ARM = (
+    "<mujoco><worldbody><body><freejoint/><geom size='0.1'/><body><joint name='x'/><geom size='0.1'/></body>"
+    "</body></worldbody><actuator><motor joint='x'/></actuator></mujoco>"
+)
+
+
+def test_states_and_controls_have_the_sizes_of_the_model():
+    robot = Simulator(build(MJX(impl="c"), "float32"), RobotModel(FLYING_ARM), substeps=1)
+    state = robot.state(jnp.asarray(robot.mujoco_model.qpos0), jnp.zeros(7))
+    refused = [
+        # C MuJoCo would take the last position for the first velocity.
+        (lambda: robot.state(jnp.zeros(9), jnp.zeros(6)), r"has 8 generalised positions .* shape \(9,\)"),
+        (lambda: robot.state(jnp.zeros(8), jnp.zeros(8)), r"has 7 generalised velocities .* shape \(8,\)"),
+        (lambda: robot.advance(state, jnp.zeros(2)), r"has 1 controls, an array has the shape \(2,\)"),
+    ]
+    assert_refused(refused)
+
+
+def test_what_mjx_ignores_does_not_matter_where_the_model_does_not_use_it():
+    unused = (
+        slider(option="<option actuatorgroupdisable='2'/>", actuator=OF_GROUP_1),
+        slider(geom="fluidshape='ellipsoid'"),
+    )
+    for xml in unused:
+        assert simulated(xml, "jax")().impl == "jax"
 
 
 CHOICES = [
