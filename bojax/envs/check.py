@@ -47,6 +47,9 @@ def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None
     state = env.of_run(key).reset(key)
     observed = env.observe(state)
     require("the observation of observe", observed, env.observation_space.example)
+    frame = env.frame(state)
+    if frame is not None and jnp.ndim(frame) != 1:
+        raise Misfit(f"frame has shape {jnp.shape(frame)}; allowed: a vector")
     result = env.step(key, state, env.action_space.example)
     if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], TimeStep)):
         raise Misfit("step has to return the next state and a TimeStep")

@@ -16,6 +16,7 @@ from scipy import stats
 
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
+from bojax.envs.check import check_env
 from bojax.envs.control import ControlStep
 from bojax.envs.robots import settings as envs
 from bojax.envs.robots.reacher import Reacher, fingertip
@@ -415,3 +416,28 @@ def test_actuators_without_limits_are_refused_by_name():
     assert Loose(**settings, motors=bound).action_space.high.tolist() == [1.0]
     with pytest.raises(ValueError, match=r"^model: [^\n]* no ctrlrange of actuators pull, 2$"):
         Loose(**settings, motors=bound + free + '<motor joint="x"/>')
+
+
+class Misplaced(Reacher):
+    """A reacher whose model has no mocap body for its target."""
+
+    def mocap_positions(self, state):
+        return state.qpos[2:]
+
+
+class Square(Reacher):
+    """A reacher whose frames are no vectors."""
+
+    def frame(self, state):
+        return state.qpos.reshape(2, 2)
+
+
+def test_frames_that_no_film_can_draw_are_refused_in_one_line():
+    reacher = built(envs.Reacher())
+    settings = {field.name: getattr(reacher, field.name) for field in dataclasses.fields(Reacher)}
+    for kind, reason in (
+        (Misplaced, r"mocap_positions has the shape \(2,\); the model needs \(0,\)"),
+        (Square, r"frame has shape \(2, 2\); allowed: a vector"),
+    ):
+        with pytest.raises(ValueError, match=rf"^{kind.__name__}: [^\n]*{reason}[^\n]*$"):
+            check_env(kind(**settings), "float32")

@@ -85,6 +85,13 @@ class RobotTask(Simulated, ControlTask):
 
     @override
     def frame(self, state: EnvState) -> Float[Array, "Q"]:
-        """Generalised positions, followed by the positions of the mocap bodies if there are any."""
+        """Generalised positions, followed by the positions of the mocap bodies if there are any.
+
+        Raises:
+            ValueError: `mocap_positions` has another length than the model needs.
+        """
         qpos, mocap = self.robot(state).qpos, self.mocap_positions(state)
+        needed = 3 * self.simulator.mujoco_model.nmocap
+        if mocap is not None and mocap.shape != (needed,):
+            raise ValueError(f"mocap_positions has the shape {mocap.shape}; the model needs ({needed},)")
         return qpos if mocap is None else jnp.concatenate([qpos, mocap.astype(jnp.float32)])
