@@ -14,10 +14,10 @@ from bojax.motions.base import Pose
 from bojax.problems.vehicles.base import TrackingResult, Vehicle
 from bojax.robots.models import from_file
 from bojax.robots.settings import MJX
-from bojax.robots.simulator import Physics, RobotState, Simulator
+from bojax.robots.simulator import Physics, RobotState, Simulated, Simulator
 
 
-class Base(Vehicle):
+class Base(Simulated, Vehicle):
     """A base that planners know only through the paths that they plan and the poses that they observe."""
 
     class Config(pydantic.BaseModel):

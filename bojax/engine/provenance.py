@@ -15,6 +15,7 @@ import jax
 
 import bojax
 from bojax.engine.devices import Device
+from bojax.engine.groups import nodes_with
 
 PACKAGE = Path(bojax.__file__).parent
 PACKAGES = ("jax", "jaxlib", "equinox", "optax", "numpy", "pyarrow")
@@ -23,8 +24,14 @@ UNHASHED = ("api", "cli", "report")
 
 
 def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
-    """Hashes of the package's sources, read once in a process, and of other files that define the modules."""
+    """Hashes of the package's sources, read once in a process, and of other files that define the modules.
+
+    A module states files besides its source by `model_files`: their text by name.
+    """
+    modules = list(modules)
     hashes = {"bojax": _package_hash()}
+    for node in (node for module in modules for node in nodes_with(module, "model_files").values()):
+        hashes |= {name: hashlib.sha256(text.encode()).hexdigest() for name, text in node.model_files.items()}
     for kind in sorted({kind for module in modules for kind in _classes(module)}, key=lambda k: k.__module__):
         source = getattr(sys.modules.get(kind.__module__), "__file__", None)
         if source is not None and not kind.__module__.startswith("bojax."):

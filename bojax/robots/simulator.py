@@ -6,6 +6,7 @@ import functools
 import itertools
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
@@ -178,6 +179,12 @@ class Simulated(eqx.Module):
     def resolved_settings(self) -> dict[str, str]:
         """The implementation of MJX that `physics.impl` stands for."""
         return {"physics.impl": self.simulator.impl}
+
+    @property
+    def model_files(self) -> dict[str, str]:
+        """The MJCF of a robot of one's own, with what it includes, by the name of its file."""
+        model = self.simulator.model
+        return {} if model.path is None else {Path(model.path).name: model.spec().to_xml()}
 
     @property
     def calls_process(self) -> bool:
