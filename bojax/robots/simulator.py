@@ -83,8 +83,10 @@ class Simulator(eqx.Module):
 
         Raises:
             ValueError: MuJoCo or MJX refuse the model, it cannot be simulated by a kernel of Pallas, or the
-                settings ask for one on a CPU.
+                settings ask for one on a CPU, or for no steps.
         """
+        if self.substeps < 1:
+            raise ValueError(f"substeps: got {self.substeps}; allowed: >= 1")
         if self.impl == "pallas" and not (kernels_run_here() or builds_for_another_machine()):
             needed = "needs an NVIDIA GPU of compute capability 8.0 or more"
             raise ValueError(f'physics.impl: got "pallas", which {needed}; allowed here: "jax", "c"')

@@ -337,6 +337,16 @@ def test_states_and_controls_have_the_sizes_of_the_model():
     assert_refused(refused)
 
 
+@pytest.mark.parametrize("impl", ["auto", "jax", "c"])
+def test_a_robot_that_would_not_move_is_refused(impl):
+    """A `substeps` of one's own settings has no limit."""
+    physics, model = build(MJX(impl=impl), "float32"), RobotModel(slider())
+    refused = (
+        (lambda n=n: Simulator(physics, model, n), f"^substeps: got {n}; allowed: >= 1$") for n in (0, -1)
+    )
+    assert_refused(refused)
+
+
 def test_what_mjx_ignores_does_not_matter_where_the_model_does_not_use_it():
     unused = (
         slider(option="<option actuatorgroupdisable='2'/>", actuator=OF_GROUP_1),
