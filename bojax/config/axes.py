@@ -84,12 +84,7 @@ Combination = tuple[Choice, ...]
 
 
 def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combination]:
-    """The combinations of choices, in the order of the file; without axes, one empty combination.
-
-    Raises:
-        ConfigError: An axis is empty or has a duplicate value, two points of a zip are equal, or the axes of
-            a zip differ in length.
-    """
+    """The combinations of choices, in the order of the file; without axes, one empty combination."""
     is_zip = combine == "zip" and len(axes) > 1
     columns = [
         _read_axis(name, values, f"{source}: axes.{name}", may_repeat=is_zip) for name, values in axes.items()
@@ -144,11 +139,7 @@ def expand(
 def split_overrides(
     overrides: Sequence[Override], combinations: Sequence[Combination], source: str
 ) -> tuple[list[Override], list[Override]]:
-    """The overrides of the base, and those below an axis.
-
-    Raises:
-        ConfigError: An override sets a swept key.
-    """
+    """The overrides of the base, and those below an axis."""
     base, below = [], []
     for override in overrides:
         axes = {choice.axis for choice in combinations[0] if _is_prefix(choice.axis, override.path)}

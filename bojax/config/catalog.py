@@ -33,9 +33,6 @@ def named(role: str, part: Any) -> Component:
     """The settings of a part that is given as in a config, by its name or as a mapping.
 
     Messages name a setting by its dotted path in a config.
-
-    Raises:
-        ConfigError: There is no such part, or its settings are wrong.
     """
     slot: Any = Annotated[Component, Slot(role)]
     above = () if role == "experiment" else (role,)

@@ -37,9 +37,6 @@ def resolve(sweep: Sweep) -> Sweep:
     """The sweep with every import path imported and the settings validated; this runs the user's code.
 
     A module that a file of a results folder names is printed before it is imported.
-
-    Raises:
-        ConfigError: The module or class does not exist, or the class does not accept the settings.
     """
     here = str(Path.cwd())
     if here not in sys.path:  # the installed command `bojax` leaves it out
@@ -53,11 +50,7 @@ def resolve(sweep: Sweep) -> Sweep:
 
 
 def resolved_in(component: Component, file: Path) -> Component:
-    """The settings of a file of a results folder, with every import path imported as by `resolve`.
-
-    Raises:
-        ConfigError: As `resolve`.
-    """
+    """The settings of a file of a results folder, with every import path imported as by `resolve`."""
     return _resolve(component, (), lambda location: f"{display(file)}: {dotted(location)}")
 
 

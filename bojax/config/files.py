@@ -29,9 +29,6 @@ def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
     """The file of a path, or of a name: `parking` stands for `FOLDER/parking.yaml`.
 
     The folders in `beside` are searched before the usual ones.
-
-    Raises:
-        ConfigError: There is no such file.
     """
     if not source:
         raise ConfigError(f"got an empty name; allowed: a YAML file, or a name in {folder}/")

@@ -62,11 +62,7 @@ Config = TypeVar("Config", bound=Schema)
 
 
 def load_launching(path: Path | None, kind: type[Config]) -> Config:
-    """The settings in a file; the defaults without one.
-
-    Raises:
-        ConfigError: The file is missing, or a setting is wrong.
-    """
+    """The settings in a file; the defaults without one."""
     if path is None:
         return kind()
     file = display(path)

@@ -26,11 +26,7 @@ class Limit:
         return max(self.at_least, budget() // self.bytes_each)
 
     def check(self, number: int, where: str) -> None:
-        """Refuse a number above the limit.
-
-        Raises:
-            ConfigError: The number is above the limit; `where` names the setting.
-        """
+        """Refuse a number above the limit; `where` names the setting."""
         if number > self.allowed:
             raise ConfigError(
                 f"{where}: got {number:,} {self.name}, which take about {memory(number * self.bytes_each)} "
@@ -57,11 +53,9 @@ def budget() -> int:
 
 
 def read_within(limit: Limit, path: Path, where: str) -> bytes:
-    """The content of a file, which may be a pipe or a device that never ends.
+    """The content of a file, which may be a pipe or a device that never ends; messages call it `where`.
 
-    Raises:
-        ConfigError: The content is longer than the limit; `where` names the file.
-        OSError: The file cannot be read.
+    A file that cannot be read is an `OSError`.
     """
     with path.open("rb") as file:
         content = file.read(limit.allowed + 1)

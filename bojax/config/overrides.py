@@ -23,11 +23,7 @@ class Override:
 
 
 def parse_overrides(texts: Iterable[str]) -> list[Override]:
-    """The overrides, shallow paths first, so that the order of `planner=sbo planner.depth=2` has no effect.
-
-    Raises:
-        ConfigError: A text is not `key=value`, or a key is given twice.
-    """
+    """The overrides, shallow paths first: the order of `planner=sbo planner.depth=2` has no effect."""
     overrides: dict[tuple[str, ...], Override] = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -60,8 +56,7 @@ def apply(raw: Mapping[str, Any], override: Override) -> dict[str, Any]:
 def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any, where: str) -> dict[str, Any]:
     """A copy of `raw` with `value` at `path`; a new `kind` discards the settings of the old kind.
 
-    Raises:
-        ConfigError: A parent of the setting is a plain value; `where` names the setting.
+    Messages call the setting `where`.
     """
     name, *rest = path
     if rest:

@@ -74,11 +74,7 @@ Reference = Mean | OfClaim
 
 
 def pieces(text: str) -> Iterator[str | Reference]:
-    """The text and the references of an explanation, in order.
-
-    Raises:
-        ValueError: What stands in braces is no reference.
-    """
+    """The text and the references of an explanation, in order; ValueError for other braces."""
     end = 0
     for match in _BRACES.finditer(text):
         yield _outside(text[end : match.start()])
@@ -88,11 +84,7 @@ def pieces(text: str) -> Iterator[str | Reference]:
 
 
 def references(text: str) -> list[Reference]:
-    """The references of an explanation.
-
-    Raises:
-        ValueError: What stands in braces is no reference.
-    """
+    """The references of an explanation; ValueError for braces that hold none."""
     return [piece for piece in pieces(text) if not isinstance(piece, str)]
 
 

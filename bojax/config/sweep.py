@@ -30,17 +30,7 @@ DEFAULT_RUNS = 200
 def load_sweep(
     source: Source, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
 ) -> Sweep:
-    """The sweep of a file in `sweeps/`.
-
-    Args:
-        source: A name, a path, or the content of such a file.
-        overrides: Dotted `key=value` texts.
-        runs: Overrides `runs`.
-        seed: Overrides `seed`.
-
-    Raises:
-        ConfigError: The file or an override is invalid.
-    """
+    """The sweep of a file in `sweeps/`, given by name, path or content, with dotted `key=value` overrides."""
     written = read_sweep(source)
     changes = _changes(overrides, runs, seed)
     combinations = read_axes(written.content.axes, written.content.combine, written.file)
@@ -93,9 +83,6 @@ def vary(
         variations: The settings of each variation, by its number.
         runs: Overrides `runs`.
         seed: Overrides `seed`.
-
-    Raises:
-        ConfigError: The sweep or a setting is invalid.
     """
     written = read_sweep(source)
     own = load_sweep(source, (), runs, seed)
@@ -148,11 +135,7 @@ def _origin_in(origins: Mapping[tuple[str, ...], str], variant: str, location: L
 
 
 def load_published(name: str) -> Sweep:
-    """A sweep of bojax by name, whatever files the working directory has.
-
-    Raises:
-        ConfigError: The file is not readable.
-    """
+    """A sweep of bojax by name, whatever files the working directory has."""
     return load_sweep(str(shipped("sweeps") / f"{name}.yaml"))
 
 

@@ -11,11 +11,7 @@ from bojax.config.references import OfClaim, Reference, matching, references
 
 
 def check_sweep(sweep: Sweep, file: str) -> None:
-    """Refuse duplicate ids of claims, and names that the sweep does not have.
-
-    Raises:
-        ConfigError: The report or a claim names something unknown; `file` is the sweep file.
-    """
+    """Refuse duplicate ids of claims, and names that the sweep of `file` does not have."""
     variants = {point.variant for point in sweep.points}
     relative_to = sweep.report.get("relative_to")
     if relative_to is not None:
@@ -69,11 +65,7 @@ def check_sweep(sweep: Sweep, file: str) -> None:
 
 
 def check_reference(reference: Reference, sweep: Sweep, where: str) -> None:
-    """Refuse a reference to a claim or a point that a sweep does not have.
-
-    Raises:
-        ConfigError: There is no such claim, or not exactly one such point.
-    """
+    """Refuse a reference to a claim or a point that a sweep does not have."""
     if isinstance(reference, OfClaim):
         _require(reference.claim, [claim.id for claim in sweep.claims], where, "; unknown id")
         return

@@ -101,11 +101,7 @@ class Written:
 
 
 def read_config(source: Source) -> Written:
-    """An experiment file.
-
-    Raises:
-        ConfigError: There is no such file, or it is not an experiment.
-    """
+    """An experiment file."""
     path = _find(source, "configs") if isinstance(source, str) else UNNAMED
     file = display(path)
     mapping = read_mapping(path, file) if isinstance(source, str) else source
@@ -120,11 +116,7 @@ def read_config(source: Source) -> Written:
 
 
 def read_sweep(source: Source) -> Written:
-    """A sweep file.
-
-    Raises:
-        ConfigError: There is no such file, or a key that only sweeps have is wrong.
-    """
+    """A sweep file."""
     given = _find(source, "sweeps") if isinstance(source, str) else UNNAMED
     path, mapping = follow_alias(given) if isinstance(source, str) else (given, source)
     file = display(path)
@@ -174,11 +166,7 @@ def _command(source: Source) -> str:
 
 
 def follow_alias(path: Path) -> tuple[Path, dict[str, Any]]:
-    """The file that a chain of aliases ends at, and its content.
-
-    Raises:
-        ConfigError: A file is not readable, or the aliases form a cycle.
-    """
+    """The file that a chain of aliases ends at, and its content."""
     seen = []
     while True:
         file = display(path)
@@ -219,21 +207,13 @@ def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Locati
 
 
 def published_name(name: str) -> str | None:
-    """The name of the sweep of bojax that a name or alias stands for; None if there is none.
-
-    Raises:
-        ConfigError: The file is not readable.
-    """
+    """The name of the sweep of bojax that a name or alias stands for; None if there is none."""
     path = shipped("sweeps") / f"{name}.yaml"
     return follow_alias(path)[0].stem if path in shipped("sweeps").glob("*.yaml") else None
 
 
 def published_report(name: str) -> Report | None:
-    """The settings of the report of a sweep that is part of bojax; None if none has this name.
-
-    Raises:
-        ConfigError: The file is not readable.
-    """
+    """The settings of the report of a sweep that is part of bojax; None if none has this name."""
     if published_name(name) is None:
         return None
     return Report.model_validate(follow_alias(shipped("sweeps") / f"{name}.yaml")[1].get("report", {}))

@@ -27,11 +27,7 @@ _CITED = re.compile(r"(Fig\.|Table) (\d+\.\d+)")
 
 
 def sweeps_of(name: str) -> list[str]:
-    """The sweeps that a name stands for: itself, or all of a figure, table, chapter, group or the thesis.
-
-    Raises:
-        ConfigError: The name stands for no sweep.
-    """
+    """The sweeps that a name stands for: itself, or all of a figure, table, chapter, group or the thesis."""
     contents = _contents()
     meant = _meant(name, contents)
     if not meant:

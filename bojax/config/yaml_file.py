@@ -96,11 +96,7 @@ def dump(value: Any) -> str:
 
 
 def read_mapping(path: Path, name: str) -> dict[str, Any]:
-    """The mapping that a YAML file holds; messages call the file `name`.
-
-    Raises:
-        ConfigError: The file is unreadable, empty or not YAML, holds no mapping, or has a duplicate key.
-    """
+    """The mapping that a YAML file holds; messages call the file `name`."""
     try:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -133,11 +129,7 @@ def mapping_of(content: bytes, name: str) -> dict[str, Any]:
 
 
 def parse(text: str, name: str) -> Any:
-    """The value of a YAML text.
-
-    Raises:
-        ConfigError: The text is not YAML, or has a duplicate key.
-    """
+    """The value of a YAML text."""
     try:
         loader = _Loader(text)
         try:
