@@ -113,15 +113,8 @@ def check_inside(
 ) -> None:
     """Refuse a point `[2]` outside an area, m; up to a thousandth of a millimetre, it is on the border.
 
-    Args:
-        area: The area.
-        point: The point, m.
-        name: What the message calls it.
-        given: The point in other coordinates, which the message shows.
-        bounds: The bounds of the area in these.
-
-    Raises:
-        ValueError: It is outside.
+    The message calls the point `name`, and shows it and the bounds of the area as `given` in other
+    coordinates.
     """
     if area.contains(point[None])[0] or area.distances(point[None])[0] >= -1e-6:
         return
@@ -132,11 +125,7 @@ def check_inside(
 
 
 def _ring(corners: np.ndarray) -> Ring:
-    """The corners of a ring as read-only numbers, without a last one that repeats the first.
-
-    Raises:
-        ValueError: The ring has fewer than three corners, or a corner is not finite.
-    """
+    """The corners of a ring as read-only numbers, without a last one that repeats the first."""
     try:
         ring = np.array(corners, float)
     except (TypeError, ValueError) as error:  # text, or rows of different lengths
@@ -161,11 +150,7 @@ def _axis(low: float, high: float, spacing: float) -> np.ndarray:
 
 
 def _mesh(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Points `[H * W, 2]` of a grid, row by row.
-
-    Raises:
-        ValueError: There are too many.
-    """
+    """Points `[H * W, 2]` of a grid, row by row."""
     _check_size(columns, rows)
     x, y = np.meshgrid(columns, rows)
     return np.stack([x.ravel(), y.ravel()], axis=1)

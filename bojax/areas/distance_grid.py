@@ -29,11 +29,7 @@ class DistanceGrid(eqx.Module):
 
     @classmethod
     def of(cls, area: Area, spacing: float) -> "DistanceGrid":
-        """The distances to the border of an area, on a grid that extends beyond it by two cells.
-
-        Raises:
-            ValueError: The grid would have too many points.
-        """
+        """The distances to the border of an area, on a grid that extends beyond it by two cells."""
         columns, rows = area.axes(spacing)
         origin = jnp.asarray([columns[0], rows[0]])
         return cls(jnp.asarray(_table(area, columns, rows)), origin, jnp.asarray(float(spacing)))

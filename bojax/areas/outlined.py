@@ -37,11 +37,7 @@ class OutlinedArea(eqx.Module):
         checks: int = 8,
         sha256: str | None = None,
     ):
-        """Read the area, and compute the table; `sha256` is checked with the settings.
-
-        Raises:
-            ValueError: A file cannot be read, or holds no area.
-        """
+        """Read the area, and compute the table; `sha256` is checked with the settings."""
         from bojax.areas.place import read_outlined  # not at the start of every run
 
         area = read_outlined(file, tuple(avoid), below, frame, sha256).area

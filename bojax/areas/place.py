@@ -132,13 +132,7 @@ class Place:
 def read_place(area: str, below: float | None = None, frame: Projection | None = None) -> Place:
     """The area that a text names: a file of polygons or of a raster, or a size such as `500x300`, in metres.
 
-    Args:
-        area: Name of the file, or the size.
-        below: Of a raster, only cells with values below this number belong to the area.
-        frame: Frame to place it in; its own by default.
-
-    Raises:
-        ValueError: The file cannot be read, or has no area. The message is one line.
+    Of a raster, only cells with values below `below` belong to it. It is placed in `frame`, or in its own.
     """
     if size := _SIZE.fullmatch(area):
         if below is not None:
@@ -181,14 +175,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
 
 
 def values_of(file: str, read: Raster | Points, crs: str | None, projection: Projection) -> Values:
-    """The values that were read from a file, in the frame of a projection; few enough to be drawn.
-
-    Args:
-        file: Its name.
-        read: Its content.
-        crs: Coordinate reference system of its positions, as of `Projection.from_other`.
-        projection: The frame.
-    """
+    """The values read from a file with this `crs`, in the frame of a projection; few enough to be drawn."""
     points, values = read.thinned(MOST_DRAWN).cells
     return Values(file, projection.from_other(points, crs), values, read.label)
 
@@ -201,9 +188,6 @@ def read_outlined(
 
     It is kept, since settings are read several times before anything runs; with other `sha256` of its files
     it is read again.
-
-    Raises:
-        ValueError: A file cannot be read, or holds no area. The message is one line.
     """
     if _SIZE.fullmatch(file):
         raise ValueError(f"file: got {file}; allowed: a file of polygons, or a raster")

@@ -31,9 +31,6 @@ def read_polygons(file: str) -> Polygons:
 
     Coordinates are longitudes and latitudes, as both formats demand. GeoJSON may name another system in the
     member `crs` of the older standard; `"crs": null` means metres without a place on the Earth.
-
-    Raises:
-        ValueError: The file cannot be read, has no polygon, or one crosses itself. The message is one line.
     """
     path = Path(file)
     try:
@@ -53,11 +50,7 @@ def read_polygons(file: str) -> Polygons:
 
 
 def _united(found: list[list[Any]], file: str) -> BaseGeometry:
-    """The union of polygons, each a list of its border and those of its holes.
-
-    Raises:
-        ValueError: A ring is too short or a polygon crosses itself.
-    """
+    """The union of polygons, each a list of its border and those of its holes."""
     polygons = []
     for number, rings in enumerate(found, start=1):
         name = f"{file}: polygon {number} of {len(found)}"

@@ -63,22 +63,14 @@ class OutlinedArea(AreaSettings, frozen=True):
 
     @property
     def place(self) -> "Place":
-        """The area in metres.
-
-        Raises:
-            ValueError: A file cannot be read, or holds no area.
-        """
+        """The area in metres."""
         from bojax.areas.place import read_outlined  # not at the start of every command
 
         return read_outlined(self.file, self.avoid, self.below, self.frame, self.sha256)
 
     @property
     def own_frame(self) -> str | None:
-        """The file whose frame is that of the area; None for metres without a place on the Earth.
-
-        Raises:
-            ValueError: The area is a raster with an origin of its own.
-        """
+        """The file whose frame is that of the area; None for metres without a place on the Earth."""
         from bojax.areas.polygons import SUFFIXES
 
         if self.frame is not None or self.place.projection.crs is None:
@@ -91,11 +83,7 @@ class OutlinedArea(AreaSettings, frozen=True):
         return self.file
 
     def check_inside(self, points: Mapping[str, tuple[float, float]]) -> None:
-        """Refuse points, by the names of their settings, outside the area or in different parts of it.
-
-        Raises:
-            ValueError: A point is not in the area, or nothing joins it to the others.
-        """
+        """Refuse points, by the names of their settings, outside the area or in different parts of it."""
         import numpy as np
         import shapely
 

@@ -17,11 +17,7 @@ def to_shape(area: Area) -> BaseGeometry:
 
 
 def to_area(shape: BaseGeometry) -> Area:
-    """A geometry of polygons as an area; points and lines in it are left out.
-
-    Raises:
-        ValueError: It has no area.
-    """
+    """A geometry of polygons as an area; points and lines in it are left out."""
     rings = rings_of(shape)
     if not rings:
         raise ValueError("the area is empty")

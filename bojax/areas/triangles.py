@@ -30,10 +30,7 @@ class Triangles:
     def way(self, first: np.ndarray, last: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Waypoints `[W, 2]` of the shortest way along edges between two points, or None if there is none.
 
-        Args:
-            first: The first point, which is joined to the corners of its triangle.
-            last: The last point, likewise.
-            tolerance: Distance up to which a point belongs to a triangle.
+        A point is joined to the corners of its triangle, to which it belongs up to a tolerance.
         """
         number = len(self._corners)
         points = np.concatenate([self._corners, [first, last]])

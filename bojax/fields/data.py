@@ -53,11 +53,7 @@ class Points:
         return DEGREES if self.names and self.names[0].lower().startswith("lon") else None
 
     def check_degrees(self) -> None:
-        """Refuse positions that cannot be longitudes and latitudes.
-
-        Raises:
-            ValueError: One of them is out of range.
-        """
+        """Refuse positions that cannot be longitudes and latitudes."""
         import numpy as np
 
         for column, (kind, largest) in enumerate((("longitudes", 360), ("latitudes", 90))):
@@ -69,14 +65,9 @@ class Points:
 
 
 def read_array(file: str, allows_holes: bool = False) -> "np.ndarray":
-    """The table in a `.npy` or `.csv` file; a header line of a CSV file is skipped.
+    """The table in a `.npy` or `.csv` file with any delimiter; a header line of a CSV file is skipped.
 
-    Args:
-        file: Its name; a CSV file may have any delimiter.
-        allows_holes: Whether numbers may be NaN, which is also put for those that mean missing data.
-
-    Raises:
-        ValueError: The file cannot be read, or is not a table of finite numbers. The message is one line.
+    Numbers may be NaN if it `allows_holes`: NaN is then also put for those that mean missing data.
     """
     return _checked(_read_table(file)[0], file, allows_holes)
 
@@ -87,9 +78,6 @@ def read_points(file: str) -> Points:
     Columns are chosen by their names (x or lon, y or lat, and z, value, depth, ... or the only other one);
     `FILE.csv:NAME` chooses the values. Without the names of x and y there must be three columns. Columns of
     text are ignored, and rows without data are left out.
-
-    Raises:
-        ValueError: The file cannot be read, or has no such columns. The message is one line.
     """
     path, chosen = split_choice(file)
     table, names = _read_table(path, ignores_text=True)
@@ -109,12 +97,7 @@ def read_points(file: str) -> Points:
 
 
 def read_waypoints(file: str) -> "np.ndarray":
-    """Waypoints `[W, 2]` in a `.csv` or `.npy` file, m: its columns x and y, or its only two columns.
-
-    Raises:
-        ValueError: The file cannot be read, or has no such columns or fewer than two rows. The message is one
-            line.
-    """
+    """Waypoints `[W, 2]` in a `.csv` or `.npy` file, m: its columns x and y, or its only two columns."""
     table, names = _read_table(file)
     table = _checked(table, file, allows_holes=False)
     lowered = [name.lower() for name in names]
@@ -223,12 +206,7 @@ def sha256_of_files(*files: str) -> str:
 
 
 def record_sha256(settings: Any, *files: str) -> None:
-    """Set `sha256` of settings to that of their files, so that a run resumes with the same files only.
-
-    Raises:
-        ValueError: The settings have another one, of files that have changed since.
-        OSError: A file cannot be read.
-    """
+    """Set `sha256` of settings to that of their files, so that a run resumes with the same files only."""
     digest = sha256_of_files(*files)
     if settings.sha256 is None:
         object.__setattr__(settings, "sha256", digest)

@@ -27,9 +27,6 @@ class GridField(Field):
         """Read the grid from a file; `sha256` and `holes` are checked with the settings.
 
         Cells without data have the value of the nearest cell with data.
-
-        Raises:
-            ValueError: The file holds no grid of at least 2 x 2 numbers.
         """
         raster = read_raster(file)
         values = raster.values
@@ -58,11 +55,7 @@ class ScatteredField(Field):
     def __init__(
         self, file: str, extent: Float[Array, "4"], resolution: int = 101, sha256: str | None = None
     ):
-        """Read rows of x, y and value from a file.
-
-        Raises:
-            ValueError: The file is not a table of three columns of finite numbers.
-        """
+        """Read rows of x, y and value from a file."""
         rows = read_local_points(file)
         low_x, low_y, high_x, high_y = np.asarray(extent)
         x, y = np.meshgrid(np.linspace(low_x, high_x, resolution), np.linspace(low_y, high_y, resolution))

@@ -72,11 +72,7 @@ class Projection:
         return points / _row(self.scale) + _row(self.origin)
 
     def to_degrees(self, points: "np.ndarray") -> "np.ndarray":
-        """Longitudes and latitudes `[N, 2]` of points of the frame; longitudes are from -180 to 180.
-
-        Raises:
-            ValueError: The frame has no place on the Earth.
-        """
+        """Longitudes and latitudes `[N, 2]` of points of the frame; longitudes are from -180 to 180."""
         import numpy as np
 
         if self.crs is None:
@@ -92,9 +88,7 @@ class Projection:
     def from_other(self, points: "np.ndarray", crs: str | None) -> "np.ndarray":
         """Coordinates `[N, 2]` of another system in metres of this frame.
 
-        Raises:
-            ValueError: One of the two systems has no place on the Earth, and the other has one; the message
-                goes on after the name of the file of the points.
+        The message of an error goes on after the name of the file of the points.
         """
         import numpy as np
 

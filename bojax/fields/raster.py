@@ -76,9 +76,6 @@ def regular(values: "np.ndarray", x: "np.ndarray", y: "np.ndarray", crs: str | N
 
     Where the positions are not evenly spaced, as the latitudes of a map in the Mercator projection, each row
     or column of the raster is the nearest one of the file. Missing data become holes.
-
-    Raises:
-        ValueError: The positions are not finite and ordered, or no cell has data.
     """
     import numpy as np
 

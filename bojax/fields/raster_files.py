@@ -73,11 +73,7 @@ def local_extent(raster: Raster) -> tuple[float, float, float, float]:
 
 
 def frame_of(file: str) -> Projection:
-    """The frame in metres that the fields `grid` and `scattered` read a file in.
-
-    Raises:
-        ValueError: The file cannot be read.
-    """
+    """The frame in metres that the fields `grid` and `scattered` read a file in."""
     try:
         points = read_points(file)
     except ValueError:
@@ -87,11 +83,7 @@ def frame_of(file: str) -> Projection:
 
 
 def read_local_points(file: str) -> "np.ndarray":
-    """Rows of x, y and value in a file, in metres; longitudes and latitudes are projected.
-
-    Raises:
-        ValueError: The file cannot be read, or has no such columns. The message is one line.
-    """
+    """Rows of x, y and value in a file, in metres; longitudes and latitudes are projected."""
     points = read_points(file)
     points.rows[:, :2] = _points_frame(points, file).to_local(points.rows[:, :2])
     return points.rows

@@ -18,8 +18,7 @@ honestly vary by more, so that this is a reason for a note, and never one to ref
 def unit_doubt(values: "np.ndarray") -> str | None:
     """A sentence about values with a standard deviation of at least `DOUBTED`; None for others.
 
-    Args:
-        values: Measured values; those that are not finite are ignored.
+    Values that are not finite are ignored.
     """
     import numpy as np  # not at the start of every command
 

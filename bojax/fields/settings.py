@@ -25,11 +25,7 @@ Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
-    """`box`, which must have its lower bounds below its upper ones.
-
-    Raises:
-        ValueError: A lower bound is not below the upper one.
-    """
+    """`box`, which must have its lower bounds below its upper ones."""
     if not (box[0] < box[2] and box[1] < box[3]):
         raise ValueError("allowed: [x_min, y_min, x_max, y_max] with x_min < x_max and y_min < y_max")
     return box
@@ -150,11 +146,7 @@ class _Measured(FieldSettings, frozen=True):
 
     @abc.abstractmethod
     def _check(self) -> tuple[float, float, float, float]:
-        """The extent of the data in the file, m, whose values are checked.
-
-        Raises:
-            ValueError: The file cannot be read, or holds other data.
-        """
+        """The extent of the data in the file, m, whose values are checked."""
 
 
 class Grid(_Measured, frozen=True):
