@@ -123,6 +123,7 @@ class _Rounds:
         self._measure = Measure(task.column, task.is_least)
         self._search = Search(task.ranges, task.config.seed, task.batch, task.rounds * task.batch)
         self._tried: list[_Tried] = []
+        self._longest: float | None = None
 
     def run(self) -> int:
         """Run the rounds that are left, and confirm the best points."""
@@ -152,10 +153,15 @@ class _Rounds:
             return run_sweeps([request], *options, launcher=self._launcher, indices=self._devices)
 
     def _learn(self, number: int, folder: Path) -> None:
-        """Tell the search the scores of a finished round, and print the best point so far."""
-        results = load(folder)
+        """Tell the search the scores of a finished round, and print the best point so far.
+
+        Times count up to the end of the longest run of the first round: scores of all rounds are compared.
+        """
+        results, measure = load(folder), self._measure
+        if number == 0:
+            self._longest = measure.longest(results)
         tried = [
-            _Tried(number, self._values(point), float(self._measure.values(results, point).mean()))
+            _Tried(number, self._values(point), float(measure.values(results, point, self._longest).mean()))
             for point in results.points
         ]
         scores = [self._measure.sign * each.score for each in tried]

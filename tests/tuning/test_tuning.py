@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -126,8 +127,25 @@ def test_the_score_is_the_mean_over_the_runs_of_a_point(undisturbed):
     tuning = read_tuning(undisturbed)
     for index, point in enumerate(tuning.points):
         results = load(undisturbed / "rounds" / f"{index // 3:03d}")
-        scores = tuning.measure.values(results, results.points[index % 3])
-        assert scores.mean() == pytest.approx(point.score, rel=1e-12)
+        longest = load(undisturbed / "rounds" / "000").runs["steps"].max()
+        times = np.fmin(results.runs_of(results.points[index % 3])["steps_to_goal"], longest)
+        assert times.mean() == pytest.approx(point.score, rel=1e-12)
+
+
+def test_times_of_every_round_count_up_to_the_longest_run_of_the_first(tmp_path, undisturbed, monkeypatch):
+    out = shutil.copytree(undisturbed, tmp_path / "search")
+
+    def without_goals(folder):
+        results = load(folder)
+        if folder.name == "001":
+            never = np.full(results.runs["steps"].size, np.nan)
+            results.runs.update(steps=3 * results.runs["steps"], steps_to_goal=never)
+        return results
+
+    monkeypatch.setattr("bojax.tuning.rounds.load", without_goals)
+    assert tune(out, "--resume", rounds=4) == 0
+    longest = load(out / "rounds" / "000").runs["steps"].max()
+    assert [point.score for point in read_tuning(out).points if point.round == 1] == [longest] * 3
 
 
 def test_later_rounds_compile_nothing(tmp_path, monkeypatch):
