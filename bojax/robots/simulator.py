@@ -101,13 +101,14 @@ class Simulator(eqx.Module):
     def impl(self) -> Literal["jax", "pallas", "c"]:
         """The implementation of the steps.
 
-        `auto` is `c` on a CPU, for models with contacts; `jax` is as fast there without contacts. It is
-        `pallas` on NVIDIA GPUs, for models that can be a kernel. Otherwise it is `jax`, or `c` for models
-        that MJX refuses, with a note on standard error.
+        `auto` is `c` on a CPU, for models with contacts or closed loops; `jax` is as fast there without
+        contacts, and less exact with loops. It is `pallas` on NVIDIA GPUs, for models that can be a kernel.
+        Otherwise it is `jax`, or `c` for models that MJX refuses, with a note on standard error.
         """
         if self.physics.impl != "auto":
             return self.physics.impl
-        if jax.default_backend() == "cpu" and _has_contacts(self.mujoco_model):
+        model = self.mujoco_model
+        if jax.default_backend() == "cpu" and (_has_contacts(model) or _has_loops(model)):
             return "c"
         if kernels_run_here() and _can_be_a_kernel(self._configured, self.substeps):
             return "pallas"
@@ -322,6 +323,12 @@ def _has_contacts(model: MjModel) -> bool:
     return model.npair > 0 or bool(np.triu(may_touch, 1).any())
 
 
+def _has_loops(model: MjModel) -> bool:
+    """Whether constraints of a model join bodies; MJX leaves out a term of their reference acceleration."""
+    joins = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+    return bool(np.isin(model.eq_type, [int(each) for each in joins]).any())
+
+
 @functools.cache
 def _compiled(configured: ConfiguredModel) -> MjModel:
     """The model of C MuJoCo, whose state has nothing but what `RobotState` has."""
@@ -335,7 +342,9 @@ def _compiled(configured: ConfiguredModel) -> MjModel:
     try:
         compiled = spec.compile()
     except ValueError as error:
-        raise ValueError(f"MuJoCo refuses the model: {one_line(error)}") from error
+        path = configured.model.path
+        named = "the model" if path is None else f"the model {Path(path).name}"
+        raise ValueError(f"MuJoCo refuses {named}: {one_line(error)}") from error
     if compiled.nv == 0:
         raise ValueError("the model has no joints")
     if unknown := _not_numbers(compiled):

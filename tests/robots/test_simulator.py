@@ -166,7 +166,7 @@ CYLINDER_ON_BOX = """
 def slider(extension="", actuator="", option="", further="", sleep="allowed", joint="", geom=""):
     """A mass on a rail."""
     return (
-        f"<mujoco>{option}<extension>{extension}</extension><worldbody><body sleep='{sleep}'>"
+        f"<mujoco>{option}<extension>{extension}</extension><worldbody><body name='slider' sleep='{sleep}'>"
         f"<joint name='x' type='slide' {joint}/><geom size='0.1' {geom}/><site pos='0.1 0 0.2'/>"
         "</body></worldbody>"
         f"<actuator>{actuator}</actuator>{further}</mujoco>"
@@ -366,6 +366,8 @@ CHOICES = [
     ("auto", "car", "cpu", "c"),
     ("auto", None, "cpu", "jax"),
     ("auto", None, "gpu", "pallas"),
+    ("auto", "loop", "cpu", "c"),
+    ("auto", "loop", "gpu", "pallas"),
     ("auto", "noslip", "gpu", "c"),
     ("auto", "noslip", "tpu", "c"),
     ("jax", "hopper", "cpu", "jax"),
@@ -377,6 +379,8 @@ def test_the_implementation_that_auto_stands_for(monkeypatch):
     """The car stands for models that cannot be a kernel, although it can."""
     noslip = RobotModel(slider(option="<option noslip_iterations='3'/>"))
     too_large = MODELS["car"], noslip
+    joined = "<equality><connect body1='slider' body2='world' anchor='0 0 0'/></equality>"
+    own = {"noslip": noslip, "loop": RobotModel(slider(further=joined)), None: RobotModel(slider())}
     monkeypatch.setattr(
         bojax.robots.simulator, "_can_be_a_kernel", lambda configured, _: configured.model not in too_large
     )
@@ -386,8 +390,7 @@ def test_the_implementation_that_auto_stands_for(monkeypatch):
         monkeypatch.setattr(
             bojax.robots.simulator, "kernels_run_here", lambda platform=platform: platform == "gpu"
         )
-        model = ({"noslip": noslip, None: RobotModel(slider())} | MODELS)[name]
-        robot = Simulator(build(MJX(impl=impl), "float32"), model, substeps=1)
+        robot = Simulator(build(MJX(impl=impl), "float32"), (own | MODELS)[name], substeps=1)
         assert robot.impl == expected, (impl, name, platform)
 
 
