@@ -17,7 +17,7 @@ from bojax.config.errors import note_once
 from bojax.config.extras import needed
 from bojax.envs.adapter import Adapter
 from bojax.envs.base import Env
-from bojax.envs.spaces import Box, Space
+from bojax.envs.spaces import Space
 from bojax.numerics.trial import Misfit
 from bojax.text import error_line, one_line
 
@@ -26,7 +26,7 @@ with needed("gymnasium", "gym"):
     from gymnasium import spaces
     from gymnasium.error import NameNotFound
 
-    from bojax.envs.gymnasium_spaces import GymnasiumAdapter, from_gymnasium, to_gymnasium
+    from bojax.envs.gymnasium_spaces import GymnasiumAdapter, as_action, from_gymnasium, to_gymnasium
 
 
 _TRIAL_STEPS = 10
@@ -70,12 +70,15 @@ class GymnasiumEnv(gymnasium.Env):
 
     @override
     def step(self, action: Any):
-        """Take a step; `info["success"]` says whether the goal was reached."""
+        """Take a step; `info["success"]` says whether the goal was reached.
+
+        Raises:
+            ValueError: The action has another shape than those of the space, or is no element of it.
+        """
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("reset() comes before step()")
+        action = as_action(self.env.action_space, action)
         self._num_steps += 1
-        bounds = self.env.action_space
-        action = jnp.asarray(action, bounds.low.dtype if isinstance(bounds, Box) else jnp.int32)
         step = jnp.asarray(self._num_steps, jnp.int32)
         self._state, transition = _step(self.env, self._episode, step, self._state, action)
         terminated = bool(transition.terminated)

@@ -129,6 +129,27 @@ def from_gymnasium(
     return _box(space, what, dtype, low, high)
 
 
+def as_action(space: Space, given: Any, *lanes: int) -> Array:
+    """An action that a user gives, or one for each of the lanes, as an array of its space.
+
+    Elements of a discrete space that are already on the device are not fetched to be checked.
+
+    Raises:
+        ValueError: It has another shape, or is no element of a discrete space.
+    """
+    example = space.example
+    action, shape = given if isinstance(given, Array) else np.asarray(given), (*lanes, *example.shape)
+    if action.shape != shape:
+        raise ValueError(f"action: got an array of shape {action.shape}; allowed: {shape}")
+    if isinstance(space, Discrete):
+        is_known = action.dtype.kind in "biu"
+        if is_known and isinstance(action, np.ndarray):
+            is_known = bool(np.all((action >= 0) & (action < space.num)))
+        if not is_known:
+            raise ValueError(f"action: got {given}; allowed: integers from 0 to {space.num - 1}")
+    return jnp.asarray(action, example.dtype)
+
+
 def to_gymnasium(space: Space) -> GymnasiumSpace[Any]:
     """Convert a space of bojax; the bounds of a box become 32-bit numbers."""
     if isinstance(space, Discrete):

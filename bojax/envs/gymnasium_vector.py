@@ -13,14 +13,13 @@ from typing_extensions import override
 from bojax.config.extras import needed
 from bojax.envs.base import Action, Env
 from bojax.envs.gymnax import Episode, GymnaxEnv
-from bojax.envs.spaces import Box
 
 with needed("gymnasium", "gym"):
     import gymnasium
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 
-    from bojax.envs.gymnasium_spaces import to_gymnasium
+    from bojax.envs.gymnasium_spaces import as_action, to_gymnasium
 
 
 class GymnasiumVectorEnv(VectorEnv):
@@ -76,11 +75,15 @@ class GymnasiumVectorEnv(VectorEnv):
 
     @override
     def step(self, actions: Any):
-        """Take a step in every lane."""
+        """Take a step in every lane.
+
+        Raises:
+            ValueError: There are not as many actions as lanes, or one has another shape than those of the
+                space, or is no element of it.
+        """
         if self._keys is None:
             raise gymnasium.error.ResetNeeded("reset() comes before step()")
-        bounds = self.env.action_space
-        actions = jnp.asarray(actions, bounds.low.dtype if isinstance(bounds, Box) else jnp.int32)
+        actions = as_action(self.env.action_space, actions, self.num_envs)
         self._num_steps += 1
         number = jnp.asarray(self._num_steps, jnp.int32)
         observations, self._episodes, rewards, done, info = _step(

@@ -175,3 +175,27 @@ def test_stepping_comes_after_a_reset():
         GymnasiumVectorEnv(pendulum(), 1).step(np.zeros((1, 1)))
     with pytest.raises(ValueError, match="num_envs: got 0; allowed: >= 1"):
         GymnasiumVectorEnv(pendulum(), 0)
+
+
+def test_what_is_no_action_is_refused():
+    """Otherwise it would be broadcast, or clipped to the last element."""
+    views = {
+        GymnasiumEnv(pendulum()): [(0.5, r"shape \(\); allowed: \(1,\)"), ([[0.5]], r"shape \(1, 1\)")],
+        GymnasiumEnv(chain()): [
+            (2, "got 2; allowed: integers from 0 to 1"),
+            (-1, "got -1"),
+            (np.nan, "got nan"),
+            (jnp.asarray(0.5), "got 0.5"),
+            ([1], r"shape \(1,\); allowed: \(\)"),
+        ],
+        GymnasiumVectorEnv(pendulum(), 3): [([0.5] * 3, r"shape \(3,\); allowed: \(3, 1\)")],
+        GymnasiumVectorEnv(chain(), 3): [
+            ([0, 1], r"shape \(2,\); allowed: \(3,\)"),
+            ([0, 2, 1], r"got \[0, 2, 1\]"),
+        ],
+    }
+    for view, wrong in views.items():
+        view.reset(seed=0)
+        for action, message in wrong:
+            with pytest.raises(ValueError, match=f"^action: .*{message}"):
+                view.step(action)
