@@ -26,12 +26,16 @@ UNHASHED = ("api", "cli", "report")
 def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
     """Hashes of the package's sources, read once in a process, and of other files that define the modules.
 
-    A module states files besides its source by `model_files`: their text by name.
+    A module states files besides its source by `model_files`: their text by name. Files of one name share a
+    hash.
     """
     modules = list(modules)
     hashes = {"bojax": _package_hash()}
+    texts: dict[str, set[str]] = {}
     for node in (node for module in modules for node in nodes_with(module, "model_files").values()):
-        hashes |= {name: hashlib.sha256(text.encode()).hexdigest() for name, text in node.model_files.items()}
+        for name, text in node.model_files.items():
+            texts.setdefault(name, set()).add(text)
+    hashes |= {name: hashlib.sha256("".join(sorted(of)).encode()).hexdigest() for name, of in texts.items()}
     for kind in sorted({kind for module in modules for kind in _classes(module)}, key=lambda k: k.__module__):
         source = getattr(sys.modules.get(kind.__module__), "__file__", None)
         if source is not None and not kind.__module__.startswith("bojax."):

@@ -185,9 +185,12 @@ class Simulated(eqx.Module):
 
     @property
     def model_files(self) -> dict[str, str]:
-        """The MJCF of a robot of one's own, with what it includes, by the name of its file."""
+        """The MJCF of a robot of one's own, with what it includes, by the name of its file.
+
+        MuJoCo writes the whole with six digits, so that the text of the file itself is there as well.
+        """
         model = self.simulator.model
-        return {} if model.path is None else {Path(model.path).name: model.spec().to_xml()}
+        return {} if model.path is None else {Path(model.path).name: model.xml + model.spec().to_xml()}
 
     @property
     def calls_process(self) -> bool:

@@ -28,13 +28,20 @@ class Mass(Simulated):
 
 def test_a_robot_with_another_model_is_other_code(tmp_path):
     """A sweep that was resumed after a change of the XML had runs of both models."""
-    (tmp_path / "mass.xml").write_text('<mujoco><include file="body.xml"/></mujoco>')
+    folders = [tmp_path / "light", tmp_path / "heavy"]  # whose files have the same names
+    for folder in folders:
+        folder.mkdir()
 
-    def hashes(size):
-        body = f'<body><joint/><geom size="{size}"/></body>'
-        (tmp_path / "body.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-        return provenance.code_hashes([Mass(build(MJX(), "float32"), str(tmp_path / "mass.xml"))])
+    def hashes(*sizes, timestep=0.01):
+        for folder, size in zip(folders, sizes, strict=True):
+            option = f'<option timestep="{timestep}"/>'
+            (folder / "mass.xml").write_text(f'<mujoco>{option}<include file="body.xml"/></mujoco>')
+            body = f'<body><joint/><geom size="{size}"/></body>'
+            (folder / "body.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+        physics = build(MJX(), "float32")
+        return provenance.code_hashes([Mass(physics, str(folder / "mass.xml")) for folder in folders])
 
-    before, same, after = hashes(1), hashes(1), hashes(2)
-    assert before == same and set(before) == {"bojax", "mass.xml", __name__}
-    assert [name for name in before if before[name] != after[name]] == ["mass.xml"]
+    before = hashes(1, 2)
+    assert before == hashes(1, 2) and set(before) == {"bojax", "mass.xml", __name__}
+    for after in (hashes(3, 2), hashes(1, 3), hashes(1, 2, timestep=0.01000000001)):
+        assert [name for name in before if before[name] != after[name]] == ["mass.xml"]
