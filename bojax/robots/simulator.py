@@ -151,8 +151,9 @@ class Simulator(eqx.Module):
 
     def _check(self, given: Float[Array, "N"], size: str, what: str) -> None:
         needed = getattr(self.mujoco_model, size)
-        if given.shape[-1:] != (needed,):
-            raise ValueError(f"the model has {needed} {what}, an array has the shape {given.shape}")
+        shape = jnp.shape(given)
+        if shape[-1:] != (needed,):
+            raise ValueError(f"{what}: got the shape {shape}; the model needs ({needed},)")
 
     @property
     def _advance(self) -> Any:
@@ -486,7 +487,8 @@ def _ignored(model: MjModel) -> str:
         "sleeping bodies": _may_sleep(model),
         "the integrator discrete": option.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE,
         # MJX then leaves out all passive forces.
-        "springs or dampers that are switched off by a flag": bool(option.disableflags & switched_off),
+        "springs or dampers that are switched off by a flag": bool(option.disableflags & switched_off)
+        and _has_passive_forces(model),
         "springs or dampers that are not linear": any(x.any() for x in polynomials),
         "damping or armature of actuators": any(x.any() for x in of_actuators),
         "groups of actuators that are switched off": _has_disabled_actuators(model),
@@ -496,6 +498,13 @@ def _ignored(model: MjModel) -> str:
         "surfaces that move": bool(model.geom_surfacevel.any()),
     }
     return ", ".join(what for what, is_there in found.items() if is_there)
+
+
+def _has_passive_forces(model: MjModel) -> bool:
+    of_joints = model.jnt_stiffness, model.dof_damping
+    of_tendons = model.tendon_stiffness, model.tendon_damping
+    is_in_fluid = model.opt.density > 0 or model.opt.viscosity > 0
+    return bool(is_in_fluid) or any(x.any() for x in (*of_joints, *of_tendons, model.body_gravcomp))
 
 
 def _has_disabled_actuators(model: MjModel) -> bool:

@@ -221,6 +221,10 @@ BY_C_ALONE = [
         "MJX cannot simulate the model: springs or dampers that are switched off",
     ),
     (
+        slider(option="<option density='1000'><flag spring='disable'/></option>"),
+        "MJX cannot simulate the model: springs or dampers that are switched off",
+    ),
+    (
         slider(option="<option><flag damper='disable'/></option>", joint="stiffness='5' springref='1'"),
         "MJX cannot simulate the model: springs or dampers that are switched off",
     ),
@@ -330,9 +334,10 @@ def test_states_and_controls_have_the_sizes_of_the_model():
     state = robot.state(jnp.asarray(robot.mujoco_model.qpos0), jnp.zeros(7))
     refused = [
         # C MuJoCo would take the last position for the first velocity.
-        (lambda: robot.state(jnp.zeros(9), jnp.zeros(6)), r"has 8 generalised positions .* shape \(9,\)"),
-        (lambda: robot.state(jnp.zeros(8), jnp.zeros(8)), r"has 7 generalised velocities .* shape \(8,\)"),
-        (lambda: robot.advance(state, jnp.zeros(2)), r"has 1 controls, an array has the shape \(2,\)"),
+        (lambda: robot.state(jnp.zeros(9), jnp.zeros(6)), r"^generalised positions .* \(9,\); .* \(8,\)$"),
+        (lambda: robot.state(jnp.zeros(8), jnp.zeros(8)), r"^generalised velocities .* \(8,\); .* \(7,\)$"),
+        (lambda: robot.advance(state, jnp.zeros(2)), r"^controls: got the shape \(2,\); .* needs \(1,\)$"),
+        (lambda: robot.advance(state, 0.0), r"^controls: got the shape \(\); the model needs \(1,\)$"),
     ]
     assert_refused(refused)
 
@@ -351,6 +356,7 @@ def test_what_mjx_ignores_does_not_matter_where_the_model_does_not_use_it():
     unused = (
         slider(option="<option actuatorgroupdisable='2'/>", actuator=OF_GROUP_1),
         slider(geom="fluidshape='ellipsoid'"),
+        slider(option="<option><flag spring='disable' damper='disable'/></option>"),
     )
     for xml in unused:
         assert simulated(xml, "jax")().impl == "jax"
