@@ -113,8 +113,8 @@ def check_inside(
 ) -> None:
     """Refuse a point `[2]` outside an area, m; up to a thousandth of a millimetre, it is on the border.
 
-    The message calls the point `name`, and shows it and the bounds of the area as `given` in other
-    coordinates.
+    The message calls the point `name`. `given` and `bounds` are the point and the bounds of the area in the
+    coordinates that it shows, if these are others.
     """
     if area.contains(point[None])[0] or area.distances(point[None])[0] >= -1e-6:
         return

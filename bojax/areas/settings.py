@@ -70,7 +70,11 @@ class OutlinedArea(AreaSettings, frozen=True):
 
     @property
     def own_frame(self) -> str | None:
-        """The file whose frame is that of the area; None for metres without a place on the Earth."""
+        """The file whose frame is that of the area; None for metres without a place on the Earth.
+
+        Raises:
+            ValueError: The area is a raster with an origin of its own.
+        """
         from bojax.areas.polygons import SUFFIXES
 
         if self.frame is not None or self.place.projection.crs is None:

@@ -40,7 +40,11 @@ class Transfers:
         return np.asarray(shapely.covers(self._shape, lines))
 
     def path(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Waypoints `[W, 2]` of the shortest path between two points, which are its first and last row."""
+        """Waypoints `[W, 2]` of the shortest path between two points, which are its first and last row.
+
+        Raises:
+            ValueError: No path joins them.
+        """
         if self.are_clear(first[None], last[None])[0]:
             return np.stack([first, last])
         path = self._seen(first, last) if self.has_few_corners else self._shortened(first, last)

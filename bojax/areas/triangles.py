@@ -30,7 +30,7 @@ class Triangles:
     def way(self, first: np.ndarray, last: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Waypoints `[W, 2]` of the shortest way along edges between two points, or None if there is none.
 
-        A point is joined to the corners of its triangle, to which it belongs up to a tolerance.
+        Each point is joined to the corners of its triangle, which may be as far away as the tolerance.
         """
         number = len(self._corners)
         points = np.concatenate([self._corners, [first, last]])

@@ -33,7 +33,7 @@ class MissingExtra(UserError, ImportError):
 
 @contextlib.contextmanager
 def needed(package: str, extra: str) -> Iterator[None]:
-    """Context of the imports of an optional package; `MissingExtra` if it is not installed."""
+    """Context of the imports of an optional package; raises `MissingExtra` if it is not installed."""
     try:
         yield
     except ImportError as error:

@@ -74,7 +74,7 @@ Reference = Mean | OfClaim
 
 
 def pieces(text: str) -> Iterator[str | Reference]:
-    """The text and the references of an explanation, in order; ValueError for other braces."""
+    """The text and the references of an explanation, in order; a ValueError if braces hold anything else."""
     end = 0
     for match in _BRACES.finditer(text):
         yield _outside(text[end : match.start()])
@@ -84,7 +84,7 @@ def pieces(text: str) -> Iterator[str | Reference]:
 
 
 def references(text: str) -> list[Reference]:
-    """The references of an explanation; ValueError for braces that hold none."""
+    """The references of an explanation; a ValueError if braces hold anything else."""
     return [piece for piece in pieces(text) if not isinstance(piece, str)]
 
 

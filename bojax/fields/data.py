@@ -67,7 +67,7 @@ class Points:
 def read_array(file: str, allows_holes: bool = False) -> "np.ndarray":
     """The table in a `.npy` or `.csv` file with any delimiter; a header line of a CSV file is skipped.
 
-    Numbers may be NaN if it `allows_holes`: NaN is then also put for those that mean missing data.
+    With `allows_holes`, numbers may be NaN, which also replaces those that mean missing data.
     """
     return _checked(_read_table(file)[0], file, allows_holes)
 
@@ -206,7 +206,10 @@ def sha256_of_files(*files: str) -> str:
 
 
 def record_sha256(settings: Any, *files: str) -> None:
-    """Set `sha256` of settings to that of their files, so that a run resumes with the same files only."""
+    """Set `sha256` of settings to that of their files, so that a run resumes with the same files only.
+
+    A file that cannot be read is an `OSError`.
+    """
     digest = sha256_of_files(*files)
     if settings.sha256 is None:
         object.__setattr__(settings, "sha256", digest)

@@ -72,7 +72,11 @@ class Projection:
         return points / _row(self.scale) + _row(self.origin)
 
     def to_degrees(self, points: "np.ndarray") -> "np.ndarray":
-        """Longitudes and latitudes `[N, 2]` of points of the frame; longitudes are from -180 to 180."""
+        """Longitudes and latitudes `[N, 2]` of points of the frame; longitudes are from -180 to 180.
+
+        Raises:
+            ValueError: The frame has no place on the Earth.
+        """
         import numpy as np
 
         if self.crs is None:

@@ -25,7 +25,7 @@ Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
-    """`box`, which must have its lower bounds below its upper ones."""
+    """`box`; a ValueError unless its lower bounds are below its upper ones."""
     if not (box[0] < box[2] and box[1] < box[3]):
         raise ValueError("allowed: [x_min, y_min, x_max, y_max] with x_min < x_max and y_min < y_max")
     return box

@@ -13,8 +13,8 @@ def parse_table(text: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
     """The numbers `[N, C]` of a table and the names of its columns, none if it has no header.
 
     Columns are separated by semicolons, tabs, commas or spaces; with semicolons, a comma is a decimal point.
-    Text after # is a comment. Empty cells and NA are NaN. Columns without a number, such as times or names,
-    are left out if it `ignores_text`. Messages name the line of the text, from 1.
+    Text after # is a comment. Empty cells and NA are NaN. With `ignores_text`, columns without a number,
+    such as times or names, are left out. Messages name the line of the text, from 1.
     """
     import numpy as np
 
