@@ -30,6 +30,9 @@ def agrees(results: Results, test: Agrees) -> Finding:
     values = results.runs_of(point)[name]
     enough(values.size, "run")
     if test.share is not None:
+        if test.missing and values.dtype.kind == "f":
+            values = values[most_present(values, label, name, test.missing)]
+            enough(values.size, "run")
         size, hits = values.size, int(flags(values, label, name).sum())
         printed = round(test.share * runs)
         interval = statistics.share_difference(hits, size, printed, runs)

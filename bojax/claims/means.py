@@ -38,7 +38,7 @@ def mean(results: Results, test: Mean) -> Finding:
     if measure.is_share(results) and not all(
         0 <= bound <= 1 for bound in sides.values() if bound is not None
     ):
-        raise Undecidable(f"the mean of {measure} is a share: allowed: thresholds from 0 to 1")
+        raise Undecidable(f"the mean of {measure} is a share; allowed: thresholds from 0 to 1")
     bounds = " and ".join(f"{side} {bound:g}" for side, bound in sides.items() if bound is not None)
     return Finding.between(
         test.above,

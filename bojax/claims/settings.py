@@ -320,7 +320,7 @@ class Agrees(OfOneLabel, frozen=True):
         if (self.mean is None) != (self.sd is None):
             raise ValueError("mean and sd: give both or neither")
         if self.share is not None and self.tolerance is not None and self.tolerance >= 1:
-            raise ValueError(f"tolerance: got {self.tolerance:g}; allowed of a share: < 1")
+            raise ValueError(f"tolerance: got {self.tolerance:g}; allowed for a share: < 1")
         if self.sd == 0 and self.tolerance is None:
             raise ValueError("tolerance: required because sd is 0")
         return self

@@ -298,6 +298,13 @@ class TestAgrees:
                 with pytest.raises(Undecidable, match=reason):
                     judge(numbers(values), test)
 
+    def test_a_share_leaves_out_as_many_runs_as_the_claim_allows(self):
+        results = numbers([np.nan] * 4 + [1.0] * 18 + [0.0] * 18)
+        finding = judge(results, {**self.SHARE, "missing": 0.1})
+        assert (finding.ours, finding.runs) == (0.5, 36)
+        with pytest.raises(Undecidable, match="4 of 40 runs of a have no value, more than 9%"):
+            judge(results, {**self.SHARE, "missing": 0.09})
+
     def test_fishers_exact_test_tells_shares_apart(self):
         # 19 of 20 and 200 of 200: p = 0.09, although Newcombe's interval of the difference excludes 0.
         for share, verdict in ((0.95, YES), (0.8, NO)):

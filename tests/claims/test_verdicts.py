@@ -196,7 +196,7 @@ class TestOrder:
     def test_bounds_that_hold_for_any_share_decide_nothing(self):
         results, one = flags(200, 30, 10), {"column": "value", "label": "a"}
         for test, reason in (
-            ({**one, "kind": "mean", "above": -1.0}, "a share: allowed: thresholds from 0 to 1"),
+            ({**one, "kind": "mean", "above": -1.0}, "a share; allowed: thresholds from 0 to 1"),
             ({**one, "kind": "mean", "above": 0.0, "below": 1.5}, "thresholds from 0 to 1"),
             ({**ORDER, "greater": ["b", "a"], "margin": 1.0}, "a margin of 1 holds for any two"),
             (
@@ -206,7 +206,7 @@ class TestOrder:
         ):
             with pytest.raises(Undecidable, match=reason):
                 judge(results, test)
-        with pytest.raises(pydantic.ValidationError, match="tolerance: got 1; allowed of a share: < 1"):
+        with pytest.raises(pydantic.ValidationError, match="tolerance: got 1; allowed for a share: < 1"):
             judge(results, {"kind": "agrees", "share": 0.5, "runs": 20, "tolerance": 1.0} | one)
 
     def test_few_runs_that_differ_decide_nothing_about_shares(self):
