@@ -53,7 +53,7 @@ def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
 
     Raises:
         ConfigError: A point cannot be built or needs too much memory, there are too many chunks, or the
-            report names a column that no run has.
+            report or a claim names a column that its table will not have.
         ResultsError: A saved learner cannot be read.
     """
     modules, groups = _grouped(sweep)
@@ -85,7 +85,8 @@ def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
     known: dict[str, dict[str, None]] = {"runs": {}, "episodes": {}, "steps": {}}
     for module in modules:
         for table, columns in module.tables.items():
-            known[table] |= {column.name: None for column in columns if column.dtype != "string"}
+            numbers = {column.name: None for column in columns if column.dtype != "string"}
+            known.setdefault(table, {}).update(numbers)
 
     def require(name: str, table: str, where: str) -> None:
         if name not in known[table]:
@@ -96,9 +97,10 @@ def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
         if name := (sweep.report.get(key) or "").removeprefix("-"):
             require(name, "runs", f"report.{key}")
     known["runs"]["nans"] = None  # which the merged table has
-    for index, claim in enumerate(sweep.claims):
-        for name in claim.test.columns:
-            require(name, claim.test.table, f"claims.{index}.test.column")
+    for claim in sweep.claims:
+        for index, name in enumerate(claim.test.columns):
+            setting = f"also.{index - 1}" if index else "column"
+            require(name, claim.test.table, f"claims.{claim.id}.test.{setting}")
 
 
 def _note_equal_points(sweep: Sweep) -> None:

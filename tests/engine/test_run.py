@@ -527,19 +527,25 @@ def test_a_column_that_no_run_has_is_refused_before_anything_is_written(tmp_path
 @pytest.mark.parametrize(
     ("test", "message"),
     [
-        ({"kind": "mean", "column": "retrun", "above": 0}, '"retrun"; unknown column of runs.parquet'),
+        (
+            {"kind": "mean", "column": "retrun", "above": 0},
+            'column: got "retrun"; unknown column of runs.parquet',
+        ),
         (
             {"kind": "mean", "column": "return", "above": 0, "also": ["seed"]},
-            '"seed"; unknown column of runs',
+            'also.0: got "seed"; unknown column of runs',
         ),
-        ({"kind": "mean", "column": "return", "step": 2, "above": 0}, '"return"; unknown column of steps'),
+        (
+            {"kind": "mean", "column": "return", "step": 2, "above": 0},
+            'column: got "return"; unknown column of steps',
+        ),
         (
             {"kind": "trend", "column": "return", "from": 1, "to": 2, "direction": "rises"},
-            '"return"; unknown column of steps.parquet; allowed: step, x, y',
+            'column: got "return"; unknown column of steps.parquet; allowed: step, x, y',
         ),
         (
             {"kind": "share", "column": "success", "window": {"from": 1, "to": 2}, "above": 0.5},
-            '"success"; unknown column of episodes',
+            'column: got "success"; unknown column of episodes',
         ),
     ],
 )
@@ -551,7 +557,7 @@ def test_a_column_of_a_claim_that_no_table_has_is_refused_before_anything_is_wri
         for id, each in (("a", {"kind": "mean", "column": "nans", "below": 1}), ("b", test))
     ]
     assert run_sweep(replace(toy_sweep(runs=2), claims=(*claims,)), tmp_path / "toy") == 2
-    assert one_error(capsys).startswith(f"error: claims.1.test.column: got {message}")
+    assert one_error(capsys).startswith(f"error: claims.b.test.{message}")
     assert not (tmp_path / "toy").exists()
 
 
