@@ -172,7 +172,7 @@ def thesis_gaps(results: Results) -> list[str]:
     notes = [f"report.thesis has {joined(unknown)}, which is no column of the results."] if unknown else []
     known = {name for point in results.points for name in (point.name, point.variant, point.label)}
     if strangers := [name for name in results.report.thesis if name not in known]:
-        notes.append(f"report.thesis has {joined(strangers)}, which is the name of no setting.")
+        notes.append(f"report.thesis has numbers of {joined(strangers)}, but no setting is called that.")
     name = results.report.relative_to
     if name is not None and results.reference is None:
         notes.append(f"No ratios are shown, because no setting is called {name}.")

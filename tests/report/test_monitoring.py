@@ -174,7 +174,7 @@ class TestErrors:
         thesis = {"kcbts": {"rmse": 1.0}, "kcbst": {"rmse": 2.0}}
         report = results.report.model_copy(update={"thesis": thesis})
         results = replace(results, manifest=results.manifest.model_copy(update={"report": report}))
-        assert thesis_gaps(results) == ["report.thesis has kcbst, which is the name of no setting."]
+        assert thesis_gaps(results) == ["report.thesis has numbers of kcbst, but no setting is called that."]
 
     def test_the_figure_has_a_panel_per_measure_and_one_per_ratio(self, folder):
         drawn = drawing(load(folder), "errors")
