@@ -69,10 +69,10 @@ def run_rounds(
         folder, is_resumed = reserve_folder(f"{task.config.name}-tune", out, resume=resume)
         if resume and not is_resumed:
             say_new([folder])
-    begun = len([*round_folder(folder, 0).parent.glob("*")])
+    begun = sum(each.is_dir() for each in round_folder(folder, 0).parent.glob("*"))
     if begun > task.rounds:
         least = begun * task.batch * task.config.runs
-        raise ResultsError(f"{folder}: has more rounds than --budget; allowed: >= {least}")
+        raise ResultsError(f"{folder}: has more rounds than --budget pays for; allowed: >= {least}")
     for key in task.recompiled:
         note = f"note: {key} fixes the shape of a program; each of its values is compiled anew"
         say(note)

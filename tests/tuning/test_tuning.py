@@ -237,7 +237,7 @@ def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     assert tune(out, "--resume", "learner.initial_q=1") == 2
     assert "cannot resume, its plan has changed: config.learner: additive -> " in capsys.readouterr().err
     assert tune(out, "--resume", rounds=1) == 2
-    assert f"error: {out}: has more rounds than --budget; allowed: >= 36" in capsys.readouterr().err
+    assert f"error: {out}: has more rounds than --budget pays for; allowed: >= 36" in capsys.readouterr().err
     assert contents(out) == contents(undisturbed)
 
 
