@@ -161,14 +161,15 @@ class StateProblem(StateModel, Problem):
         """The names and meanings of the columns of a step that depend on the problem."""
 
         def rows(key: Key[Array, ""]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
-            key_state, key_action, key_step = jax.random.split(key, 3)
-            action = self.actions.decode(self.actions.sample(key_action))
-            after, observation, _ = self.execute(key_step, self.initial(key_state), action)
-            return self.step_row(action, observation), self.row(after)
+            key_state, key_action, key_observe = jax.random.split(key, 3)
+            action, state = self.actions.decode(self.actions.sample(key_action)), self.initial(key_state)
+            values = self.observe(key_observe, state, action, state)  # `step` takes much longer to trace
+            return self.step_row(action, Observed(values, jnp.zeros((), bool))), self.row(state)
 
         of_step, of_state = jax.eval_shape(rows, jax.random.key(0))
         meanings = {"action": "action", "observation": "observation after it"}
-        found = {name: meanings[name.rpartition("_")[0]] for name in of_step}
+        other = "of the action and the observation after it"  # in a `step_row` of one's own
+        found = {name: meanings.get(name.rpartition("_")[0], other) for name in of_step}
         return found | dict.fromkeys(of_state, "true state after the action")
 
     @override

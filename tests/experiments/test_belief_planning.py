@@ -205,6 +205,21 @@ def test_the_table_of_steps_has_actions_observations_and_states():
     assert rows["observation_1"][0, :4].tolist() == [2.0] * 4
 
 
+class Unsigned(Counter):
+    """Has columns of its own."""
+
+    @override
+    def step_row(self, action, observation):
+        return {"size": jnp.abs(action[0]), "seen": observation.values[0]}
+
+
+def test_columns_of_ones_own_are_in_the_table_of_steps():
+    run = PlanningEpisode(Unsigned(num_particles=8), PolicyPlanner(always))
+    _, rows = advanced(run, lanes=1)
+    assert {"size", "seen"} <= {column.name for column in run.tables["steps"]} & set(rows)
+    assert rows["seen"][0, :4].tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
 def test_the_filter_of_an_episode_is_given():
     run = PlanningEpisode(Unfiltered(num_particles=8), PolicyPlanner(always))
     found = summaries(run, jax.random.split(jax.random.key(0), 1))
