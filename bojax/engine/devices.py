@@ -21,12 +21,14 @@ from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
 from bojax.text import error_line
 
-_FIXED: Mapping[str, object] = {
-    "jax_enable_x64": True,
+_OF_DRAWS: Mapping[str, object] = {
     "jax_default_prng_impl": "threefry2x32",
     "jax_threefry_partitionable": True,
     "jax_random_seed_offset": 0,
 }
+"""Flags on which the random numbers of a seed depend."""
+
+_FIXED: Mapping[str, object] = {"jax_enable_x64": True, **_OF_DRAWS}
 """Flags on which the numbers of a run depend, which must follow from its plan alone."""
 
 _FLAGS = (
@@ -128,6 +130,19 @@ def restored() -> Iterator[None]:
         sys.path[:] = path
         for name, value in flags.items():
             _update_before_start(name, value)
+
+
+@contextmanager
+def same_draws() -> Iterator[None]:
+    """Context in which a seed gives the random numbers of a sweep, whatever flags the caller has set."""
+    flags = {name: setting(name) for name in _OF_DRAWS}
+    try:
+        for name, value in _OF_DRAWS.items():
+            jax.config.update(name, value)
+        yield
+    finally:
+        for name, value in flags.items():
+            jax.config.update(name, value)
 
 
 def find_devices(device: Platform) -> list[Device]:

@@ -13,7 +13,7 @@ from bojax.config.external import resolve
 from bojax.config.files import EXPERIMENT
 from bojax.config.sweep import load_config
 from bojax.engine.build import build
-from bojax.engine.devices import on_cpu
+from bojax.engine.devices import on_cpu, same_draws
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
@@ -47,7 +47,7 @@ class Policy:
         self._adapter = experiment.env.adapter()
         space = experiment.env.observation_space
         self._dtype = space.low.dtype if isinstance(space, Box) else jnp.int32
-        with jax.enable_x64(True):
+        with jax.enable_x64(True), same_draws():
             key, exploration = jax.random.key(seed), experiment.exploiting
         learner, self._numbers = experiment.learner, count()
 
@@ -77,7 +77,7 @@ class Policy:
             raise ValueError(str(error)) from None
         if not np.all(np.isfinite(seen)):
             raise ValueError(f"the observation is {seen.tolist()}; allowed: finite numbers")
-        with on_cpu(), jax.enable_x64(True):
+        with on_cpu(), jax.enable_x64(True), same_draws():
             action, expected = jax.device_get(
                 self._act(jnp.asarray(next(self._numbers), jnp.int32), jnp.asarray(seen, self._dtype))
             )

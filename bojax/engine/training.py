@@ -19,7 +19,7 @@ from bojax.config.catalog import named
 from bojax.config.component import Component
 from bojax.engine.build import build
 from bojax.engine.chunks import choose_layout, cut
-from bojax.engine.devices import choose, find_devices, suited, workers_of
+from bojax.engine.devices import choose, find_devices, same_draws, suited, workers_of
 from bojax.engine.execute import execute
 from bojax.engine.groups import static_groups
 from bojax.engine.policies import Policy, check_seed
@@ -84,7 +84,8 @@ def train(
 ) -> Training:
     """Train a learner in an environment, in several independent runs on all GPUs, or on the CPU.
 
-    Each run draws the same random numbers as the run of the same index of `bojax run` with the same seed.
+    Each run draws the same random numbers as the run of the same index of `bojax run` with the same seed,
+    whatever flags of JAX are set here.
 
     Args:
         env: The environment: a module, or settings, such as `"mountain-car"` or
@@ -111,8 +112,9 @@ def train(
         raise ValueError(f"callback: got {callback!r:.60}; allowed: a function of a table")
     parts = {"env": env, "learner": learner, "schedule": schedule}
     settings = {"episodes": episodes, "stop": stop, "tests": tests, "dtype": dtype}
-    experiment = build(named("experiment", {"kind": "learning", **parts, **settings}), dtype)
-    sinks = _run(experiment, runs, seed, callback)
+    with same_draws():
+        experiment = build(named("experiment", {"kind": "learning", **parts, **settings}), dtype)
+        sinks = _run(experiment, runs, seed, callback)
     tables = {
         name: pa.concat_tables(part for sink in sinks for part in sink.tables[name]).drop_columns("point")
         for name in ("runs", "episodes")

@@ -1,5 +1,6 @@
 """Training from Python gives the results of a sweep, and a policy that exploits."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
@@ -46,6 +47,25 @@ def test_parts_are_modules_or_settings_and_a_run_does_not_depend_on_the_others(t
     assert alone.episodes.num_rows == 6
     assert alone.episodes.equals(trained.episodes.slice(0, 6))
     np.testing.assert_allclose(alone.learned.columns[0], trained.learned.columns[0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("flag", "value"), [("jax_default_prng_impl", "rbg"), ("jax_threefry_partitionable", False)]
+)
+def test_flags_of_the_caller_change_no_random_number(trained, flag, value):
+    given = getattr(jax.config, flag)
+    jax.config.update(flag, value)
+    try:
+        again = train(CHAIN, "additive", runs=3, schedule=Budget(episodes=2), **HOW)
+        policy = again.policy(seed=3)
+        actions = [policy(0) for _ in range(20)]
+        assert getattr(jax.config, flag) == value
+    finally:
+        jax.config.update(flag, given)
+    assert again.runs.equals(trained.runs)
+    assert again.episodes.equals(trained.episodes)
+    policy = trained.policy(seed=3)
+    assert actions == [policy(0) for _ in range(20)]
 
 
 def test_a_callback_gets_the_rows_of_each_episode(trained):
