@@ -4,7 +4,7 @@ import base64
 import html
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,7 +44,9 @@ def load(folder: str | os.PathLike[str]) -> "Results":
         BojaxError: The folder holds no finished results, or they are damaged.
     """
     with in_one_line():
-        return Results(source.load(Path(path_of(folder, "folder"))))
+        found = source.load(Path(path_of(folder, "folder")))
+    # Tables are read when they are asked for, which may be in another working directory.
+    return Results(replace(found, folder=found.folder.absolute()))
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class Results:
 
     @property
     def folder(self) -> Path:
-        """The results folder."""
+        """The results folder, as an absolute path."""
         return self._results.folder
 
     @cached_property
@@ -243,9 +245,9 @@ class TuningResults:
     """
 
     def __init__(self, folder: str | os.PathLike[str]):
-        self.folder = Path(folder)
         with in_one_line():
-            self._tuning = read_tuning(self.folder)
+            self._tuning = read_tuning(Path(folder))
+        self.folder = Path(folder).absolute()
 
     @cached_property
     def points(self) -> pa.Table:

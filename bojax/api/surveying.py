@@ -133,4 +133,4 @@ def survey(
     ended = run_in_child(["survey", name, *words], None)
     if ended.code != 0:
         raise BojaxError(ended.error, "\n".join(ended.lines))
-    return SurveyResult(folder)
+    return SurveyResult(folder.absolute())

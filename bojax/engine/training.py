@@ -65,7 +65,13 @@ class Training:
         Args:
             run: Index of the run.
             seed: Seed of the random draws of the policy, which break ties or propose candidate actions.
+
+        Raises:
+            ValueError: There is no such run.
         """
+        # JAX takes an index beyond the end for the last one.
+        if check_count("run", run, 0) >= self.runs.num_rows:
+            raise ValueError(f"run: got {run}; allowed: < {self.runs.num_rows}, the number of runs")
         return Policy(self.experiment, jax.tree.map(lambda leaf: leaf[run], self.learned), seed)
 
 

@@ -28,6 +28,14 @@ def test_tables_are_those_of_the_folder(results):
         _ = results.episodes
 
 
+def test_they_stay_those_of_the_folder_in_another_working_directory(results, tmp_path, monkeypatch):
+    monkeypatch.chdir(results.folder.parent)
+    found = bojax.load(results.folder.name)
+    monkeypatch.chdir(tmp_path)
+    assert found.folder == results.folder and found.runs.equals(results.runs)
+    assert found.show("returns").png == results.show("returns").png
+
+
 def test_claims_have_the_verdicts_of_the_file(results):
     written = json.loads((results.folder / "claims.json").read_text())
     assert results.claims.num_rows == len(CLAIMS) == len(written)

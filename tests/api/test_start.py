@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -53,7 +54,7 @@ def caller(usual_jax):
 
 def test_a_mapping_runs_in_a_process_of_its_own(caller, capfd):
     results = bojax.run(CONFIG, runs=2, seed=3, **{"episodes": 4, "dtype": "float64"})
-    assert results.folder.parent == type(results.folder)("results", "config")
+    assert results.folder.parent == Path.cwd() / "results" / "config"
     assert results.runs["run"].to_pylist() == [0, 1]
     assert results.episodes["episode"].to_pylist() == [1, 2, 3, 4] * 2
     assert results.episodes.schema.field("return").type == "double"
@@ -93,7 +94,7 @@ def test_a_search_is_the_command_of_the_same_name(caller, monkeypatch):
 @pytest.mark.slow
 def test_a_search_returns_what_it_has_found(caller, capfd):
     found = bojax.tune(ARMS, RANGES, budget=8, batch=2, runs=2, confirm=3, episodes=2)
-    assert found.folder.parent == type(found.folder)("results", "config-tune") and found.report.is_file()
+    assert found.folder.parent == Path.cwd() / "results" / "config-tune" and found.report.is_file()
     assert found.points.num_rows == 4 and found.confirmed is not None
     assert "round 2 of 2" in capfd.readouterr().out
 

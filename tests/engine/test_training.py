@@ -101,6 +101,9 @@ def test_the_policy_exploits():
     for run in range(2):
         policy = trained.policy(run)
         assert [int(policy(0)) for _ in range(10)] == [1] * 10
+    for run, message in [(2, "run: got 2; allowed: < 2"), (-1, "run: got -1")]:
+        with one_line(ValueError, message):
+            trained.policy(run)
 
 
 @pytest.mark.parametrize(
