@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
 from contextlib import redirect_stderr, suppress
 from dataclasses import dataclass
@@ -22,6 +23,10 @@ from bojax.engine.bar import PROGRESS, Bar
 
 _OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Environment variables with which rich takes a pipe for a terminal."""
+
+
+_one_at_a_time = threading.RLock()
+"""Held by a command in this process, which changes flags of JAX and the standard streams of all threads."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +91,7 @@ def run_here(words: Sequence[str], config: str | None) -> CommandResult:
     """Run `bojax WORDS` in this process; JAX's flags are restored afterwards.
 
     The command reads the YAML `config` from standard input. A second Ctrl-C does not end the process, which
-    is the caller's.
+    is the caller's. Commands of several threads run one after another.
 
     Raises:
         ConfigError: A class does not accept its settings.
@@ -95,16 +100,17 @@ def run_here(words: Sequence[str], config: str | None) -> CommandResult:
     from bojax.engine.devices import restored
     from bojax.engine.signals import sparing_the_process
 
-    shown: Any = _Shown(sys.stderr)
-    stdin = sys.stdin
-    sys.stdin = io.TextIOWrapper(io.BytesIO((config or "").encode()))
-    try:
-        with restored(), sparing_the_process(), redirect_stderr(shown):
-            code = dispatch(list(words))
-    except KeyboardInterrupt:
-        code = 128 + signal.SIGINT
-    finally:
-        sys.stdin = stdin
+    with _one_at_a_time:
+        shown: Any = _Shown(sys.stderr)
+        stdin = sys.stdin
+        sys.stdin = io.TextIOWrapper(io.BytesIO((config or "").encode()))
+        try:
+            with restored(), sparing_the_process(), redirect_stderr(shown):
+                code = dispatch(list(words))
+        except KeyboardInterrupt:
+            code = 128 + signal.SIGINT
+        finally:
+            sys.stdin = stdin
     return CommandResult(code, shown.text.splitlines())
 
 

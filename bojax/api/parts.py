@@ -32,9 +32,11 @@ def part(
         settings: Settings that differ from the defaults: `part("emu-q", kappa=2.0)`.
 
     Raises:
-        BojaxError: There is no such part, a setting is wrong, or `dtype` is float64 and JAX runs without
-            64-bit numbers; the message is one line.
+        BojaxError: There is no such part or precision, a setting is wrong, or `dtype` is float64 and JAX
+            runs without 64-bit numbers; the message is one line.
     """
+    if dtype not in (None, "float64", "float32"):
+        raise BojaxError(f'dtype: got {shown(dtype)}; allowed: "float64" or "float32"')
     with in_one_line():
         owners = [each for each in roles() if kind in kinds(each) and role in (None, each)]
         if not owners:

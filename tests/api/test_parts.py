@@ -1,5 +1,7 @@
 """`bojax.part` builds every part from its schema, and parts in it from names, mappings and objects."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -41,6 +43,7 @@ def test_settings_are_numbers_names_mappings_and_parts():
 
 
 def test_mistakes_are_one_line(usual_jax):
+    half: Any = "float16"
     mistakes = (
         (lambda: bojax.part("emuq"), 'got "emuq"; unknown part; .* did you mean "emu-q"'),
         (lambda: bojax.part("kcbt", role="planner"), 'unknown planner; allowed: .* did you mean "kcbts"'),
@@ -55,6 +58,7 @@ def test_mistakes_are_one_line(usual_jax):
         (lambda: bojax.part("monitoring", field=bojax.part("sbo")), "^problem.field: got .*; unknown field"),
         (lambda: bojax.part("kcbts", kernel="mine:Mine"), "planner.kernel: got mine:Mine; allowed: a name"),
         (lambda: bojax.part("sbo", dtype="float64"), "JAX runs without 64-bit numbers"),
+        (lambda: bojax.part("sbo", dtype=half), 'dtype: got "float16"; allowed: "float64" or "float32"'),
     )
     assert_refused(mistakes, bojax.BojaxError)
     assert bojax.part("sbo").discount.dtype == jnp.float32

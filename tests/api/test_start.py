@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import bojax
-from bojax.api.command import Output
+from bojax.api.command import Output, run_here
 from bojax.engine import signals
 from bojax.engine.devices import _FLAGS
 from bojax.results.folder import is_unfinished
@@ -89,6 +90,26 @@ def test_a_search_is_the_command_of_the_same_name(caller, monkeypatch):
     assert (task.config.runs, task.confirm) == (2, 3)
     bounds = [(each.key, each.low, each.high, each.is_log) for each in task.ranges]
     assert bounds == [("learner.learning_rate", 0.05, 1.0, True), ("learner.discount", 0.5, 1.0, False)]
+
+
+def test_commands_in_this_process_run_one_after_another(caller, monkeypatch):
+    running, seen = [], []
+
+    def dispatch(words):
+        running.append(words)
+        jax.config.update("jax_enable_x64", True)
+        time.sleep(0.05)
+        seen.append(len(running))
+        running.pop()
+        return 0
+
+    monkeypatch.setattr("bojax.cli.main.dispatch", dispatch)
+    threads = [threading.Thread(target=run_here, args=(["run"], None)) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert seen == [1, 1, 1]
 
 
 @pytest.mark.slow
