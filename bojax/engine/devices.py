@@ -135,13 +135,13 @@ def restored() -> Iterator[None]:
 @contextmanager
 def same_draws() -> Iterator[None]:
     """Context in which a seed gives the random numbers of a sweep, whatever flags the caller has set."""
-    flags = {name: setting(name) for name in _OF_DRAWS}
+    others = {name: given for name, value in _OF_DRAWS.items() if (given := setting(name)) != value}
     try:
-        for name, value in _OF_DRAWS.items():
-            jax.config.update(name, value)
+        for name in others:
+            jax.config.update(name, _OF_DRAWS[name])
         yield
     finally:
-        for name, value in flags.items():
+        for name, value in others.items():
             jax.config.update(name, value)
 
 
