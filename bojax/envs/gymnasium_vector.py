@@ -55,11 +55,18 @@ class GymnasiumVectorEnv(VectorEnv):
 
     @override
     def reset(self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None):
-        """Begin an episode in every lane; `options` are ignored.
+        """Begin an episode in every lane.
 
-        Without a seed, the episodes follow from the seed of an earlier reset.
+        Without a seed, the episodes follow from the seed of an earlier reset. Options are ignored, but for a
+        `reset_mask` that leaves lanes out.
+
+        Raises:
+            ValueError: The number of seeds is not that of the lanes, or some lanes are to go on.
         """
-        del options
+        if not np.all((options or {}).get("reset_mask", True)):
+            raise ValueError(
+                "options: got reset_mask; a lane is only reset at the end of its episode, by step"
+            )
         if seed is None or isinstance(seed, int | np.integer):
             super().reset(seed=None if seed is None else int(seed))
             key = jax.random.key(int(self.np_random.integers(2**31) if seed is None else seed))

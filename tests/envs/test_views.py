@@ -168,6 +168,9 @@ def test_seeds_repeat_and_tell_lanes_apart():
     np.testing.assert_array_equal(wider[:2], one)
     with pytest.raises(ValueError, match="seed: got 3 seeds; allowed: 2, one for each lane"):
         vector.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match="options: got reset_mask; a lane is only reset at the end"):
+        vector.reset(options={"reset_mask": np.array([True, False])})
+    vector.reset(options={"reset_mask": np.array([True, True])})
 
 
 def test_stepping_comes_after_a_reset():
