@@ -133,13 +133,11 @@ class OptimisationResult:
     def _column(self, axis: Axis) -> list[Any]:
         """The values of an axis; as text if its choices are not all numbers, all texts, or all Booleans."""
         values = [each.point[axis.key] for each in self.evaluations]
-        is_plain = isinstance(axis, Range) or any(
-            all(
-                isinstance(value, kind) and isinstance(value, bool) == (kind is bool) for value in axis.values
-            )
-            for kind in (int | float, str, bool)
-        )
-        return values if is_plain else list(map(str, values))
+        if isinstance(axis, Range):
+            return values
+        plain = bool, int | float, str  # a Boolean is an integer, too
+        kinds = {next((kind for kind in plain if isinstance(each, kind)), None) for each in axis.values}
+        return values if len(kinds) == 1 and None not in kinds else list(map(str, values))
 
     @cached_property
     def _best(self) -> int | None:

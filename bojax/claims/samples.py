@@ -211,7 +211,7 @@ def most_present(values: NDArray[Any], name: str, column: str, missing: float) -
 
 
 def flags(values: NDArray[Any], name: str, column: str) -> NDArray[np.bool_]:
-    """Whether a column of numbers or Booleans is true or not zero in each run, all of which have a value."""
+    """Whether the value of each run is true or not zero; refuses text, and runs without a value."""
     if values.dtype.kind not in "bfiu":
         raise Undecidable(f"{column} holds neither Booleans nor numbers")
     finite(values, name, column)

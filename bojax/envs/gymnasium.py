@@ -73,7 +73,7 @@ class GymnasiumEnv(gymnasium.Env):
         """Take a step; `info["success"]` says whether the goal was reached.
 
         Raises:
-            ValueError: The action has another shape than those of the space, or is no element of it.
+            ValueError: The action has not the shape of the action space, or is no element of a discrete one.
         """
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("reset() comes before step()")

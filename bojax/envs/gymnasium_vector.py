@@ -85,8 +85,8 @@ class GymnasiumVectorEnv(VectorEnv):
         """Take a step in every lane.
 
         Raises:
-            ValueError: There are not as many actions as lanes, or one has another shape than those of the
-                space, or is no element of it.
+            ValueError: There are not as many actions as lanes, or one has not the shape of the action space,
+                or is no element of a discrete one.
         """
         if self._keys is None:
             raise gymnasium.error.ResetNeeded("reset() comes before step()")

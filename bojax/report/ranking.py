@@ -43,16 +43,17 @@ class Measure:
         return -1.0 if self.is_least else 1.0
 
     def values(self, results: Results, point: Point, longest: float | None = None) -> Floats:
-        """Its value in each run of a point; NaN if missing, but a time counts up to the end `longest`.
+        """Its value in each run of a point; NaN if missing.
 
-        By default, that is the end of the longest run of the results.
+        A time to a goal or target counts as `longest` if it is missing or longer. By default, that is the end
+        of the longest run of the results.
         """
         values = results.runs_of(point)[self.column].astype(np.float64)
         longest = self.longest(results) if longest is None else longest
         return values if longest is None else times_within(values, longest)
 
     def longest(self, results: Results) -> float | None:
-        """The end of the longest run, up to which a time counts; None for what is no time."""
+        """The end of the longest run; None if the measure is no time to a goal or target."""
         end = ENDS.get(self.column)
         return None if end is None else float(results.runs[end].max(initial=0))
 

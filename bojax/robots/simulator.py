@@ -123,7 +123,7 @@ class Simulator(eqx.Module):
         """A state with these positions and velocities.
 
         Raises:
-            ValueError: Their numbers are not those of the model.
+            ValueError: The model has another number of positions or velocities.
         """
         self._check(qpos, "nq", "generalised positions (a free joint has 7, a ball joint 4)")
         self._check(qvel, "nv", "generalised velocities (a free joint has 6, a ball joint 3)")
@@ -134,7 +134,7 @@ class Simulator(eqx.Module):
         """The state after `substeps` steps under constant controls, which MuJoCo clips to their ranges.
 
         Raises:
-            ValueError: The number of controls is not that of the model.
+            ValueError: The model has another number of controls.
         """
         self._check(control, "nu", "controls")
         return self._advance(state, control)
@@ -328,7 +328,10 @@ def _has_contacts(model: MjModel) -> bool:
 
 
 def _has_loops(model: MjModel) -> bool:
-    """Whether constraints of a model join bodies; MJX leaves out a term of their reference acceleration."""
+    """Whether constraints `connect` or `weld` join bodies of a model.
+
+    MJX leaves out the term of their reference acceleration that grows with the squared velocity.
+    """
     joins = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
     return bool(np.isin(model.eq_type, [int(each) for each in joins]).any())
 
@@ -351,7 +354,7 @@ def _compiled(configured: ConfiguredModel) -> MjModel:
         raise ValueError(f"MuJoCo refuses {named}: {one_line(error)}") from error
     if compiled.nv == 0:
         raise ValueError("the model has no joints")
-    if unknown := _not_numbers(compiled):
+    if unknown := _fields_with_nan(compiled):
         raise ValueError(f"the model has NaN: {unknown}")
     if further := _further_state(compiled):
         raise ValueError(f"the state of the model has more than positions and velocities: {further}")
@@ -450,8 +453,8 @@ def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: An
     return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 
 
-def _not_numbers(model: MjModel) -> str:
-    """Fields of a model with a NaN, separated by commas; "" if none. MuJoCo only warns of them."""
+def _fields_with_nan(model: MjModel) -> str:
+    """Fields of a model that hold a NaN, separated by commas; "" if none. MuJoCo only warns of them."""
     parts = ("", model), ("opt.", model.opt)
     fields = ((prefix + name, getattr(part, name)) for prefix, part in parts for name in dir(part))
     numbers = ((name, x) for name, x in fields if isinstance(x, float | np.ndarray))
