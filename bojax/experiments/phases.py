@@ -17,13 +17,15 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, Key, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from bojax.envs.base import Env, EnvState, Observation, TimeStep
 from bojax.experiments.episode import Choice, EpisodeState, apply_transition
 from bojax.experiments.step_rows import StepRows
+from bojax.experiments.tabular_kernel import kernel_of
 from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
 from bojax.numerics.lanes import any_lane, batched_together
+from bojax.numerics.pallas import either
 
 PHASES = ("train", "test")
 """Values of the column `phase`, which holds the index into this list until it is stored."""
@@ -55,13 +57,17 @@ class Phase(eqx.Module):
         return StepRows.of(self.env, self.learner.exploration_weight.dtype)
 
     def step_keys(self, steps: Int[Array, "B"]) -> UInt32[Array, "B 3 W"]:
-        """Data of the keys of some steps: to act, to step the environment, to learn.
+        """Data of the keys of some steps, see `keys_of_step`.
 
         The result is key data because JAX's check of key reuse mistakes a batched scan over keys for a reuse.
         """
         counters = (3 * steps[:, None] + jnp.arange(1, 4, dtype=jnp.int32)[None, :]).ravel()
         keys = jax.vmap(lambda counter: jax.random.fold_in(self.key, counter))(counters)
         return jax.random.key_data(keys.reshape(-1, 3))
+
+    def keys_of_step(self, step: Int[Array, ""]) -> list[Key[Array, ""]]:
+        """The keys of one step: to act, to step the environment, to learn."""
+        return [jax.random.fold_in(self.key, 3 * step + k) for k in range(1, 4)]
 
     def begin(
         self, learner: LearnerState, env_state: EnvState, observation: Observation, is_active: Bool[Array, ""]
@@ -115,6 +121,16 @@ class Phase(eqx.Module):
             after = replace(after, repeated=choice)
         if not self.learns:
             return after
+        transition, exploration, row = self.lesson(episode, choice, time_step, counts)
+        step_in_block = step % self.learner.block
+        learner = self.learner.observe(key, episode.learner, transition, exploration, step_in_block)
+        rows = jax.lax.dynamic_update_index_in_dim(episode.rows, row, step, 0)
+        return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
+
+    def lesson(
+        self, episode: EpisodeState, choice: Choice, time_step: TimeStep, counts: Bool[Array, ""]
+    ) -> tuple[Transition, ExplorationState, Float[Array, "R"]]:
+        """What the learner learns from a step, if it counts, and the row of the step."""
         transition = Transition(
             observation=episode.observation,
             action=choice.action,
@@ -124,11 +140,8 @@ class Phase(eqx.Module):
         )
         # Non-finite values must not reach the learner: 0 times NaN is NaN.
         transition = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), transition)
-        exploration, step_in_block = self._exploration_if(counts), step % self.learner.block
-        learner = self.learner.observe(key, episode.learner, transition, exploration, step_in_block)
         row = self.rows.pack(transition, choice.expected, self.env.frame(episode.env))
-        rows = jax.lax.dynamic_update_index_in_dim(episode.rows, row, step, 0)
-        return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
+        return transition, self._exploration_if(counts), row
 
     def flush(self, episode: EpisodeState) -> EpisodeState:
         """The episode after a block of steps: a learner that learns applies its delayed updates."""
@@ -161,7 +174,13 @@ class Phase(eqx.Module):
 
 
 def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
-    """Run an episode of a compiled environment, a block of steps at a time, until no lane is active."""
+    """Run an episode of a compiled environment; on a GPU, one of a tabular learner is a kernel."""
+    kernel = kernel_of(phase, episode)
+    return either(kernel is not None, kernel or run_in_blocks, run_in_blocks, phase, episode)
+
+
+def run_in_blocks(phase: Phase, episode: EpisodeState) -> EpisodeState:
+    """Run an episode, a block of steps at a time, until no lane is active."""
     block = jnp.arange(phase.learner.block, dtype=jnp.int32)
 
     def run_step(episode, inputs):

@@ -25,7 +25,7 @@ class StepRows(eqx.Module):
         """The layout for the transitions of an environment."""
         frame = None
         if not env.is_hosted:
-            frame = jax.eval_shape(lambda key: env.frame(env.reset(key)), jax.random.key(0))
+            frame = jax.eval_shape(lambda: env.frame(env.reset(jax.random.key(0))))
         return cls(env.observation_space, env.action_space, 0 if frame is None else frame.size, dtype)
 
     @property

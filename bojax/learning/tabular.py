@@ -48,6 +48,9 @@ class TabularLearner(Learner):
 
     # The 200 runs of a point then fill two cores.
     lanes_on_cpu: ClassVar[int] = 100
+    # Whether `act` and `td_target` read no other row of the table than those they are given a state for. A
+    # class says so itself; on a GPU, its episodes are kernels.
+    reads_one_row: ClassVar[bool] = False
 
     discount: Float[Array, ""]
     learning_rate: Float[Array, ""]
@@ -104,14 +107,26 @@ class TabularLearner(Learner):
         step_in_block: Int[Array, ""],
     ) -> Tables:
         """The TD update that all tabular learners share."""
-        pair = transition.observation, transition.action
-        entry = _row(state, transition.observation)[transition.action]
+        row = _row(state, transition.observation)
         next_row = _row(state, transition.next_observation)
+        change = self.change(key, transition, exploration, row, next_row)
+        # The entry is updated by adding 0 where nothing is learned: a select would copy the whole table.
+        pair = transition.observation, transition.action
+        return Tables(state.columns.at[pair].add(change, mode="drop"))
+
+    def change(
+        self,
+        key: Key[Array, ""],
+        transition: Transition,
+        exploration: ExplorationState,
+        row: Float[Array, "A C"],
+        next_row: Float[Array, "A C"],
+    ) -> Float[Array, "C"]:
+        """What a transition adds to the entry of its pair, from the rows of both states in the table."""
+        entry = row[transition.action]
         target = self.td_target(key, transition, exploration, entry[-1], next_row)
         change = self.learning_rate * (target - entry[:-1])
-        change = jnp.where(exploration.is_learning, jnp.append(change, 1.0), 0.0)
-        # The entry is updated by adding 0 where nothing is learned: a select would copy the whole table.
-        return Tables(state.columns.at[pair].add(change, mode="drop"))
+        return jnp.where(exploration.is_learning, jnp.append(change, 1.0), 0.0)
 
     @override
     def values(
@@ -126,6 +141,8 @@ class ExplorationValues(TabularLearner):
 
     Settings: `bojax.learning.settings.ExplorationValues`.
     """
+
+    reads_one_row: ClassVar[bool] = True
 
     kappa: Float[Array, ""]
     initial_u: Float[Array, ""]
@@ -194,6 +211,8 @@ class AdditiveRewards(TabularLearner):
     Settings: `bojax.learning.settings.AdditiveRewards`.
     """
 
+    reads_one_row: ClassVar[bool] = True
+
     xi: Float[Array, ""]
     exploration_reward: ExplorationReward
 
@@ -229,6 +248,8 @@ class EpsilonGreedy(TabularLearner):
 
     Settings: `bojax.learning.settings.EpsilonGreedy`.
     """
+
+    reads_one_row: ClassVar[bool] = True
 
     epsilon: Float[Array, ""]
 

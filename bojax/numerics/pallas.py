@@ -6,7 +6,7 @@ In the loop of a search, each kernel takes 1 us or more on an H200, however smal
 import contextlib
 import importlib
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
@@ -71,6 +71,7 @@ def launch(
     grid: tuple[int, ...] = (),
     warps: int = 1,
     stages: int = 1,
+    in_place: Mapping[int, int] | None = None,
 ) -> Sequence[jax.Array]:
     """The results of a kernel for a single lane; `vmap` adds the lanes to its grid. A CPU interprets it.
 
@@ -82,12 +83,14 @@ def launch(
         grid: Number of programs of a lane.
         warps: Number of warps of a program.
         stages: Number of iterations of a loop whose operands Triton loads at a time.
+        in_place: Arguments that are copied to a result before the kernel starts, as numbers of both.
     """
     pallas, triton = imported()
     call = pallas.pallas_call(
         body,
         out_shape=list(results),
         grid=grid,
+        input_output_aliases=dict(in_place or {}),
         interpret=jax.default_backend() == "cpu",
         compiler_params=triton.CompilerParams(num_warps=warps, num_stages=stages),
         name=name,

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.extend.random import threefry_prng_impl
 from jax.lax import GatherScatterMode
 
 
@@ -100,6 +101,7 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "ceil": np.ceil,
     "square": np.square,
     "sqrt": np.sqrt,
+    "rsqrt": _by_jax("rsqrt"),
     "pow": np.power,
     "exp": np.exp,
     "log": np.log,
@@ -118,10 +120,18 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "ge": np.greater_equal,
     "and": np.bitwise_and,
     "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
     "not": np.invert,
+    "shift_left": _by_jax("shift_left"),
+    "shift_right_logical": _by_jax("shift_right_logical"),
     "is_finite": np.isfinite,
 }
 """Elementwise operations, and those of NumPy for known operands."""
+
+
+_PARITY = 0x1BD11BDA
+_ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
+"""The constants of Threefry-2x32 (Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011)."""
 
 
 class _Tracing:
@@ -248,6 +258,102 @@ class _Tracing:
             return e if e.dtype == new else self.apply(f"to {new}", convert, [e], new)
 
         return known(x) if x.dtype != object else _tidy(_each(one, x), new)
+
+    def _bitcast_convert_type(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        old, new = (np.dtype(v.aval.dtype) for v in (eqn.invars[0], eqn.outvars[0]))
+        if old.itemsize != new.itemsize:
+            raise NotScalar("a change of type to another size")
+        convert = functools.partial(lax.bitcast_convert_type, new_dtype=new)
+        if x.dtype != object:
+            return x.view(new)
+        return _each(lambda e: self.apply(f"as {new}", convert, [e], new), x)
+
+    def _cumsum(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        axis, dtype = eqn.params["axis"], eqn.outvars[0].aval.dtype
+        x = np.moveaxis(x, axis, 0)
+        sums = [np.asarray(each) for each in (x[::-1] if eqn.params["reverse"] else x)]
+        for i in range(1, len(sums)):
+            sums[i] = self.elementwise("add", [sums[i - 1], sums[i]], dtype)
+        sums = np.stack(_alike(sums[::-1] if eqn.params["reverse"] else sums)) if sums else x
+        return np.moveaxis(sums, 0, axis)
+
+    def _argmax(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        dtype, number = eqn.outvars[0].aval.dtype, eqn.invars[0].aval.dtype
+        best, *rest = (np.asarray(each) for each in np.moveaxis(x, eqn.params["axes"][0], 0))
+        place = np.zeros(best.shape, dtype)
+        for k, each in enumerate(rest, 1):
+            is_better = self.elementwise("gt", [each, best], bool)
+            if np.issubdtype(number, np.floating):  # the first that is no number
+                is_first = self.elementwise("eq", [best, best], bool)
+                is_none = self.elementwise(
+                    "and", [self.elementwise("ne", [each, each], bool), is_first], bool
+                )
+                is_better = self.elementwise("or", [is_better, is_none], bool)
+            best = self.elementwise("select_n", [is_better, best, each], number)
+            place = self.elementwise("select_n", [is_better, place, np.full(place.shape, k, dtype)], dtype)
+        return place
+
+    def _dynamic_slice(self, eqn: Any, x: np.ndarray, *starts: np.ndarray) -> np.ndarray:
+        for axis, (start, size) in enumerate(zip(starts, eqn.params["slice_sizes"], strict=True)):
+            parts = [x.take(range(k, k + size), axis) for k in range(x.shape[axis] - size + 1)]
+            x = self.chosen(start, parts, eqn.outvars[0].aval.dtype)
+        return x
+
+    def chosen(self, index: np.ndarray, cases: Sequence[np.ndarray], dtype: Any) -> np.ndarray:
+        """The array of an index; for an index out of range, the first or the last.
+
+        Scalars cannot be indexed by a computed number: comparisons choose among all of them.
+        """
+        found, index = cases[0], self.converted(index, np.dtype(np.int32))
+        for k in range(1, len(cases)):
+            reaches = self.elementwise("ge", [index, np.asarray(k, np.int32)], bool)
+            reaches = np.broadcast_to(reaches, found.shape)
+            found = self.elementwise("select_n", [reaches, found, cases[k]], dtype)
+        return found
+
+    # ---- random numbers: a key is its words
+
+    def _random_wrap(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        return x
+
+    _random_unwrap = _random_wrap
+
+    def _random_fold_in(self, eqn: Any, key: np.ndarray, data: np.ndarray) -> list[np.ndarray]:
+        return self._by_words(eqn, threefry_prng_impl.fold_in, key, data)
+
+    def _random_bits(self, eqn: Any, key: np.ndarray) -> list[np.ndarray]:
+        width, shape = eqn.params["bit_width"], eqn.params["shape"]
+        return self._by_words(eqn, lambda words: threefry_prng_impl.random_bits(words, width, shape), key)
+
+    def _by_words(self, eqn: Any, function: Any, key: np.ndarray, *rest: np.ndarray) -> list[np.ndarray]:
+        if (
+            eqn.invars[0].aval.shape
+            or eqn.invars[0].aval.dtype != jax.random.key(0, impl="threefry2x32").dtype
+        ):
+            raise NotScalar("several keys, or keys of another kind than Threefry's")
+        words = jax.ShapeDtypeStruct((2,), np.uint32)
+        traced = jax.make_jaxpr(function)(words, *(v.aval for v in eqn.invars[1:]))
+        return self.evaluate(traced.jaxpr, traced.consts, [key, *rest])
+
+    def _threefry2x32(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
+        def by(name: str, x: np.ndarray, y: Any) -> np.ndarray:
+            return self.elementwise(
+                name, [x, np.asarray(y, None if isinstance(y, np.ndarray) else np.uint32)], np.uint32
+            )
+
+        k0, k1, x0, x1 = arrays
+        keys = k0, k1, by("xor", by("xor", k0, k1), _PARITY)
+        x0, x1 = by("add", x0, k0), by("add", x1, k1)
+        for i in range(5):
+            for rotation in _ROTATIONS[i % 2]:
+                x0 = by("add", x0, x1)
+                turned = by(
+                    "or", by("shift_left", x1, rotation), by("shift_right_logical", x1, 32 - rotation)
+                )
+                x1 = by("xor", turned, x0)
+            x0 = by("add", x0, keys[(i + 1) % 3])
+            x1 = by("add", by("add", x1, keys[(i + 2) % 3]), i + 1)
+        return [x0, x1]
 
     def _split(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
         return np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
@@ -419,18 +525,12 @@ class _Tracing:
             return [*arrays[first:end], *empty]
         if eqn.params["reverse"] or end - first < len(avals):
             raise NotScalar("a scan with results of every step, or backwards")
-        # A scan becomes a while loop that counts its steps. Elements cannot be indexed by a computed number,
-        # so the row of a step is chosen from all rows by comparisons; the scans of MJX have few steps.
+        # A scan becomes a while loop that counts its steps; the scans of MJX have few.
         integer = jax.ShapeDtypeStruct((), np.dtype(np.int32))
         self._level += 1
         step, carry, now = self.inputs(integer), [self.inputs(aval) for aval in avals], []
         for x, v in zip(arrays[end:], jaxpr.invars[end:], strict=True):
-            part = np.asarray(x[0])
-            for k in range(1, length):
-                is_now = self.elementwise("eq", [step, np.asarray(k, np.int32)], bool)
-                is_now = np.broadcast_to(is_now, part.shape)
-                part = self.elementwise("select_n", [is_now, part, np.asarray(x[k])], v.aval.dtype)
-            now.append(part)
+            now.append(self.chosen(step, [np.asarray(each) for each in x], v.aval.dtype))
         after = self.evaluate(jaxpr, consts, [*arrays[:first], *carry, *now])
         go_on = self.elementwise("lt", [step, np.asarray(length, np.int32)], bool)
         following = self.elementwise("add", [step, np.asarray(1, np.int32)], np.int32)
@@ -490,6 +590,11 @@ def _simplified(name: str, operands: Sequence[Any], dtype: Any) -> Any:
         return cases[0] if all(are_equal) else None
     if len(operands) != 2:
         return None
+    if name.startswith("shift"):
+        # Of a shift by all bits or more, JAX has 0, and Triton any number.
+        if isinstance(operands[1], Scalar):
+            raise NotScalar("a shift by a computed number")
+        return np.dtype(dtype).type(0) if operands[1] >= 8 * np.dtype(dtype).itemsize else None
     for known, other, is_second in ((operands[0], operands[1], False), (operands[1], operands[0], True)):
         if isinstance(known, Scalar):
             continue
@@ -517,7 +622,7 @@ def _operation(name: str) -> Callable[..., Any]:
         return lambda x: jnp.where(x > 0, 1, jnp.where(x < 0, -1, x)).astype(x.dtype)
     if name == "square":
         return lambda x: lax.mul(x, x)
-    names = {"and": "bitwise_and", "or": "bitwise_or", "not": "bitwise_not"}
+    names = {"and": "bitwise_and", "or": "bitwise_or", "xor": "bitwise_xor", "not": "bitwise_not"}
     return getattr(lax, names.get(name, name))
 
 
@@ -543,10 +648,6 @@ _MOVES: dict[str, Callable[..., np.ndarray]] = {
 _OF_KNOWN: dict[str, Callable[..., Iterable[np.ndarray]]] = {
     "iota": lambda params, aval: [np.indices(aval.shape, aval.dtype)[params["dimension"]]],
     "empty": lambda params, aval: [np.zeros(aval.shape, aval.dtype)],
-    "argmax": lambda params, aval, x: [np.argmax(x, params["axes"][0]).astype(aval.dtype)],
-    "cumsum": lambda params, aval, x: [
-        np.cumsum(_only(not params["reverse"], x), params["axis"], aval.dtype)
-    ],
     "sort": lambda params, aval, *xs: [
         x[np.argsort(_only(params["num_keys"] == x.ndim == 1, xs[0]), kind="stable")] for x in xs
     ],
@@ -556,7 +657,7 @@ _OF_KNOWN: dict[str, Callable[..., Iterable[np.ndarray]]] = {
 
 def _only(is_known: bool, x: np.ndarray) -> np.ndarray:
     if not is_known:
-        raise NotScalar("a sort or a sum along an axis")
+        raise NotScalar("a sort")
     return x
 
 

@@ -38,6 +38,13 @@ def nested(x):
     return jax.lax.while_loop(lambda carry: carry[0] < 4, outer, (0, x[2]))
 
 
+def drawn(x):
+    key = jax.random.wrap_key_data((1e6 * jnp.abs(x[0, :2])).astype(jnp.uint32))
+    keys = [jax.random.fold_in(key, (9.0 * jnp.abs(number)).astype(jnp.int32)) for number in x[1:].ravel()]
+    draws = [jax.random.uniform(keys[i], (), dtype) for i, dtype in enumerate((jnp.float64, jnp.float32))]
+    return *draws, jax.random.bits(keys[2], (3,), jnp.uint32), jax.random.key_data(keys[3])
+
+
 FUNCTIONS = {
     "arithmetic": lambda x: jnp.where(x > 0.0, jnp.sin(x) / 3.0 - x**3, jnp.sqrt(jnp.abs(x)) * x),
     "bounds": lambda x: (jnp.clip(x, -0.5, jnp.inf), jnp.maximum(x, -jnp.inf), jnp.sign(x), jnp.isfinite(x)),
@@ -70,6 +77,14 @@ FUNCTIONS = {
     "scans": scanned,
     "loops": nested,
     "constants": lambda x: (jnp.cumsum(np.arange(3.0)), jnp.argsort(np.array([2, 1, 2, 0])), 1.0),
+    "picks": lambda x: (
+        x[jnp.argmax(x[:, 0]), 1],
+        jax.lax.dynamic_slice(x, (jnp.argmax(x[:, 0]), jnp.argmax(x[0]) - 5), (2, 2)),
+        jnp.argmax(x, 0),
+        jnp.argmax(x > 0.0, 1),
+    ),
+    "running sums": lambda x: (jnp.cumsum(x, 1), jax.lax.cumsum(x, 0, reverse=True), jnp.cumsum(x[:0], 0)),
+    "random numbers": drawn,
     "numbers": lambda x: (jnp.arange(12).reshape(4, 3)[:, ::2], jnp.argmax(INDEX, 1), jnp.eye(3) * x[0, 0]),
 }
 """Functions of `X`; every rule is in one of them."""
@@ -107,6 +122,9 @@ def extremes(x, y):
     return jax.lax.max(x, y), jax.lax.min(x, y)
 
 
+SHIFTS = jax.lax.shift_left, jax.lax.shift_right_logical
+
+
 AWKWARD = {
     "gathers with a value for what is outside": (lambda x: gathers(x, mode="fill", fill_value=1), ROW),
     "gathers that fill": (lambda x: gathers(x, mode="fill"), ROW),
@@ -140,6 +158,17 @@ AWKWARD = {
         ROW,
     ),
     "signs": (jnp.sign, WIDE),
+    "the first that is no number": (lambda x: (jnp.argmax(x), jnp.argmax(x[::-1]), jnp.argmax(x[1:])), WIDE),
+    "roots": (jax.lax.rsqrt, WIDE),
+    "shifts by all bits": (
+        lambda x: [f(x.astype(np.uint32), np.uint32(n)) for n in (3, 32, 99) for f in SHIFTS],
+        ROW,
+    ),
+    "bits": (
+        lambda x, y: (jax.lax.bitcast_convert_type(x, np.uint32), y ^ 5),
+        WIDE,
+        WHOLE,
+    ),
     "integers divided": (quotients, WHOLE, DIVISORS),
     "numbers divided": (quotients, WIDE, WIDE[::-1].copy()),
     "zeros with signs": (extremes, np.float32([0.0, -0.0, -0.0]), np.float32([-0.0, 0.0, -0.0])),
@@ -222,7 +251,9 @@ def test_known_zeros_and_repetitions_cost_nothing():
 @pytest.mark.parametrize(
     "function",
     [
-        lambda x: x[jnp.argmax(x[:, 0])],
+        lambda x: x.at[jnp.argmax(x[:, 0])].set(0.0),
+        lambda x: x[0].astype(jnp.uint32) << x[1].astype(jnp.uint32),
+        lambda x: jax.random.uniform(jax.random.key(0, impl="rbg"), (), x.dtype) * x,
         lambda x: jnp.sort(x[0]),
         lambda x: x.at[jnp.array([0, 1])].apply(jnp.sin),
         lambda x: jax.vmap(lambda y: jax.lax.while_loop(lambda c: c < 5.0, lambda c: c + 1.0, y))(x[0]),
@@ -231,7 +262,18 @@ def test_known_zeros_and_repetitions_cost_nothing():
         lambda x: jax.lax.cond(x[0, 0] > 0.0, jnp.sin, jnp.cos, x),
         lambda x: jax.lax.scan(lambda s, row: (s, row * s), 1.0, x)[1],
     ],
-    ids=["index", "sort", "function", "conditions", "matrices", "precision", "branches", "rows"],
+    ids=[
+        "index",
+        "shift",
+        "rbg",
+        "sort",
+        "function",
+        "conditions",
+        "matrices",
+        "precision",
+        "branches",
+        "rows",
+    ],
 )
 def test_what_cannot_be_taken_apart_is_refused(function):
     with pytest.raises(NotScalar):
