@@ -24,7 +24,7 @@ from bojax.numerics.pallas import barrier, kernels_run_here, launch
 from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
 
 MOST_SCALARS = 10_000
-"""Maximum number of scalars of a step; that of a taxi has 1,500."""
+"""Maximum number of scalars of a step; that of a taxi has 900."""
 
 
 def kernel_of(phase: Any, episode: EpisodeState) -> Callable[[Any, EpisodeState], EpisodeState] | None:
@@ -91,11 +91,6 @@ def _read(refs: Sequence[Any]) -> list[Array]:
     return [ref[np.int32(i)] for ref in refs for i in range(ref.shape[0])]
 
 
-def _closed(elements: Sequence[Array]) -> list[Array]:
-    """The elements as a kernel keeps them from one step to the next."""
-    return [x.astype(_stored(x.dtype)) for x in elements]
-
-
 class _EpisodeKernel:
     """The kernel for phases and episodes like these, whose numbers may be other ones.
 
@@ -108,15 +103,10 @@ class _EpisodeKernel:
         self._num_states, *shape = table.shape
         self._entries = [(np.int32(a), np.int32(c)) for a, c in np.ndindex(*shape)]
         self._given, self._own = _Elements(_given(phase)), _Elements(_own(episode))
-        examples = self._given.example, self._own.example
         row, step = jax.ShapeDtypeStruct(shape, table.dtype), jax.ShapeDtypeStruct((), jnp.int32)
-        choose = functools.partial(_choose, phase)
-        chosen = jax.eval_shape(choose, *examples, step, row)
-        self._choose = ScalarProgram(choose, *examples, step, row, most=MOST_SCALARS)
-        learn = functools.partial(_learn if self._learns else _pass, phase)
-        rows = (row, row) if self._learns else ()
-        self._learn = ScalarProgram(learn, *examples, step, chosen, *rows, most=MOST_SCALARS)
-        self._entry_size, self._row_size = shape[-1], episode.rows.shape[-1]
+        rows = (row, row) if self._learns else (row,)
+        examples = self._given.example, self._own.example, step, *rows
+        self._program = ScalarProgram(functools.partial(_step, phase), *examples, most=MOST_SCALARS)
 
     def run(self, phase: Any, episode: EpisodeState) -> EpisodeState:
         """Run an episode to its end."""
@@ -147,28 +137,36 @@ class _EpisodeKernel:
         """The elements of the episode after all steps."""
         places = self._own.places
 
-        def read(observation: Int[Array, ""]) -> list[Array]:
-            state = jnp.clip(observation, np.int32(0), np.int32(self._num_states - 1))
-            return [table[state, a, c] for a, c in self._entries]
+        def state_of(observation: Int[Array, ""]) -> Int[Array, ""]:
+            return jnp.clip(observation, np.int32(0), np.int32(self._num_states - 1))
 
         def body(carry: Any) -> Any:
             step, elements = carry
             barrier()  # until the entry of the step before has been written
-            own, observation = self._own.opened(elements), elements[places.observation]
-            row = read(observation)
-            chosen = self._choose([*given, *own, step, *row])
-            after_observation, action = chosen[0], chosen[1]
-            next_row = read(after_observation) if self._learns else []
-            found = self._learn([*given, *own, step, *chosen, *(row if self._learns else []), *next_row])
-            after, entry = found[: len(own)], found[len(own) :]
+            state = state_of(elements[places.observation])
+            known = [
+                *given,
+                *self._own.opened(elements),
+                step,
+                *(table[state, a, c] for a, c in self._entries),
+            ]
+            inputs = self._program.inputs
+            values = dict(zip(inputs, known, strict=False))
+            after_observation, action = self._program.some(slice(0, 2), values)
+            if self._learns:
+                after = state_of(after_observation)
+                next_row = [table[after, a, c] for a, c in self._entries]
+                values |= dict(zip(inputs[len(known) :], next_row, strict=True))
+            found = self._program.some(slice(2, None), values)
+            elements, learned = found[: len(elements)], found[len(elements) :]
             if self._learns:
                 barrier()  # until all threads have read the entry
-                state = jnp.clip(observation, np.int32(0), np.int32(self._num_states - 1))
-                for c in range(self._entry_size):
-                    table[state, action, np.int32(c)] = entry[c]
-                for r, value in enumerate(entry[self._entry_size :]):
-                    rows[step, np.int32(r)] = value
-            return step + np.int32(1), tuple(_closed(after))
+                size = table.shape[2]
+                for c in range(size):
+                    table[state, action, np.int32(c)] = learned[c]
+                for r in range(rows.shape[1]):
+                    rows[step, np.int32(r)] = learned[size + r]
+            return step + np.int32(1), tuple(x.astype(_stored(x.dtype)) for x in elements)
 
         first = jnp.int32(0), tuple(start)
         return list(jax.lax.while_loop(lambda carry: carry[1][places.is_active] != 0, body, first)[1])
@@ -194,38 +192,28 @@ def _phase_of(phase: Any, given: Any) -> Any:
     return replace(phase, env=env, learner=learner, acting=acting, exploration=exploration, key=key)
 
 
-def _choose(
-    phase: Any, given: Any, own: EpisodeState, step: Int[Array, ""], row: Float[Array, "A C"]
-) -> tuple[Any, ...]:
-    """The next observation and the action; then the choice, and what the environment returns."""
-    phase = _phase_of(phase, given)
-    act, move, _ = phase.keys_of_step(step)
-    # An index that is out of range is clipped, so that a table of one row is that of any state.
-    choice = phase.act(act, replace(own, learner=Tables(row[None])))
-    env_state, time_step = phase.env.step(move, own.env, choice.action)
-    return time_step.observation, choice.action, choice, env_state, time_step
-
-
-def _pass(phase: Any, given: Any, own: EpisodeState, step: Int[Array, ""], chosen: Any) -> EpisodeState:
-    """The episode after a step from which nothing is learned."""
-    _, _, _, env_state, time_step = chosen
-    return apply_transition(_phase_of(phase, given).env, own, env_state, time_step)[0]
-
-
-def _learn(
+def _step(
     phase: Any,
     given: Any,
     own: EpisodeState,
     step: Int[Array, ""],
-    chosen: Any,
     row: Float[Array, "A C"],
-    next_row: Float[Array, "A C"],
-) -> tuple[EpisodeState, Float[Array, "C"], Float[Array, "R"]]:
-    """The episode after a step, the new entry of the table, and the row of the step."""
+    next_row: Float[Array, "A C"] | None = None,
+) -> tuple[Any, ...]:
+    """The next observation and the action, which no `next_row` is needed for, and the episode after the step.
+
+    If anything is learned, the new entry of the table follows, and the row of the step.
+    """
     phase = _phase_of(phase, given)
-    _, _, choice, env_state, time_step = chosen
+    to_act, to_move, to_learn = phase.keys_of_step(step)
+    # An index that is out of range is clipped, so that a table of one row is that of any state.
+    choice = phase.act(to_act, replace(own, learner=Tables(row[None])))
+    env_state, time_step = phase.env.step(to_move, own.env, choice.action)
     after, counts = apply_transition(phase.env, own, env_state, time_step)
+    found = time_step.observation, choice.action, after
+    if next_row is None:
+        return found
     transition, exploration, packed = phase.lesson(own, choice, time_step, counts)
-    change = phase.learner.change(phase.keys_of_step(step)[2], transition, exploration, row, next_row)
+    change = phase.learner.change(to_learn, transition, exploration, row, next_row)
     is_state = (own.observation >= 0) & (own.observation < phase.env.observation_space.num)
-    return after, row[choice.action] + jnp.where(is_state, change, 0.0), packed
+    return *found, row[choice.action] + jnp.where(is_state, change, 0.0), packed

@@ -140,12 +140,31 @@ def test_what_is_a_kernel(monkeypatch):
     assert not is_kernel(run)
 
 
-def test_a_gpu_gets_the_kernel_and_a_cpu_the_loop(monkeypatch):
+class Known(CliffWalking):
+    """Goes from cell to cell, whatever the action is, and never ends."""
+
+    def step(self, key, state, action):
+        after = jnp.where(state == 5, jnp.int32(6), jnp.int32(5))
+        return after, moved_to(after, jnp.ones((), self.slip.dtype), jnp.zeros((), bool))
+
+
+@pytest.mark.parametrize("env", [CliffWalking, Known])
+def test_a_gpu_gets_the_kernel_and_a_cpu_the_loop(monkeypatch, env):
     """Triton's program is made on any machine, and compiled on a GPU."""
     run = run_of()
+    run = eqx.tree_at(lambda r: r.env, run, env(**vars(run.env)))
     carry = jax.eval_shape(jax.vmap(run.init), jax.random.split(jax.random.key(0), 2))
     monkeypatch.setattr(tabular_kernel, "kernels_run_here", lambda: True)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     traced = jax.jit(jax.vmap(run.advance, axis_name=LANES)).trace(carry)
     for platform, is_kernel in (("cuda", True), ("cpu", False)):
         assert ("triton" in traced.lower(lowering_platforms=(platform,)).as_text()) == is_kernel
+
+
+@pytest.mark.parametrize("tests_learn", ["no", "exploiting"])
+def test_what_is_known_of_a_step_is_known_to_a_kernel(monkeypatch, tests_learn):
+    run = run_of(tests_learn=tests_learn)
+    run = eqx.tree_at(lambda r: r.env, run, Known(**vars(run.env)))
+    (_, by_kernel), (_, by_xla), _ = both(monkeypatch, run)
+    for found, expected in zip(by_kernel, by_xla, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)

@@ -72,7 +72,14 @@ class ScalarProgram:
 
     def __call__(self, values: Sequence[jax.Array]) -> list[jax.Array]:
         """The values of the outputs, given those of the inputs."""
-        return _computed(self.outputs, dict(zip(self.inputs, values, strict=True)))
+        return self.some(slice(None), dict(zip(self.inputs, values, strict=True)))
+
+    def some(self, outputs: slice, values: dict[Scalar, Any]) -> list[jax.Array]:
+        """The values of some outputs, given those of the inputs that they depend on.
+
+        The scalars between them get values, too: other outputs are computed from these later.
+        """
+        return _computed(self.outputs[outputs], values)
 
 
 def _by_jax(name: str) -> Callable[..., Any]:
@@ -751,8 +758,7 @@ def _reachable(roots: Iterable[Any], known: Iterable[Scalar], stop: Any = lambda
 
 
 def _computed(roots: Sequence[Any], values: dict[Scalar, Any]) -> list[jax.Array]:
-    """The values of the roots, given those of all inputs."""
-    values = dict(values)
+    """The values of the roots; the scalars between them and those with values get values, too."""
     shape = jnp.shape(next(iter(values.values())))
 
     def read(x: Any) -> Any:
