@@ -120,7 +120,7 @@ def _computation() -> Iterator[Finding]:
 
 def _cache() -> Iterator[Finding]:
     from bojax.engine.devices import cache_folder, setting, why_not_private
-    from bojax.engine.program_cache import folder_of
+    from bojax.numerics.disk_cache import folder_of
 
     folder = setting("jax_compilation_cache_dir")
     reason = why_not_private(Path(folder) if folder else cache_folder())

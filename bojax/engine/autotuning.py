@@ -26,9 +26,9 @@ from jax.stages import Compiled
 from bojax.engine.devices import Device, prepare
 from bojax.engine.errors import EngineError
 from bojax.engine.program import Program
-from bojax.engine.program_cache import folder_of
 from bojax.engine.xla_choices import XLA_FOLDER, measured, shipped, write, xla_folder
 from bojax.errors import FAILURE
+from bojax.numerics.disk_cache import folder_of
 from bojax.results.store import ResultsError, explained, publish_checked_json, read_checked_json
 
 _COPIES = frozenset({"empty", "recorded", "select"})

@@ -29,9 +29,9 @@ from bojax.engine.batch import Functions, Programs
 from bojax.engine.compiler import compile_threads
 from bojax.engine.devices import Device, prepare, setting
 from bojax.engine.groups import StaticGroup
-from bojax.engine.program_cache import folder_of
 from bojax.engine.tasks import ProgramKey
 from bojax.numerics.cores import usable_cores
+from bojax.numerics.disk_cache import folder_of
 
 LEAST_GROUPS = 8
 """Number of groups to compile from which child processes are worth their start, of some 6 s each on a GPU."""

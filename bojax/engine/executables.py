@@ -19,7 +19,9 @@ from jax.stages import Compiled
 from bojax.engine import program_cache
 from bojax.engine.devices import Device
 from bojax.engine.program import initialize_lapack
-from bojax.engine.program_cache import EXECUTABLES, Loaded
+from bojax.engine.program_cache import Loaded
+from bojax.numerics import disk_cache
+from bojax.numerics.disk_cache import EXECUTABLES
 
 _FAST = 1
 """Level of compression: higher ones take longer and save little."""
@@ -35,14 +37,14 @@ def save(key: str, device: Device, loaded: Loaded) -> None:
         programs = {name: serialize_executable.serialize(made) for name, made in loaded.programs.items()}
         carry = [(leaf.shape, leaf.dtype) for leaf in loaded.carry]
         content = zlib.compress(pickle.dumps((programs, carry, dict(loaded.contents))), _FAST)
-        program_cache.write(_name(key, device), content, EXECUTABLES)
+        disk_cache.write(_name(key, device), content, EXECUTABLES)
 
 
 def load(key: str | None, device: Device) -> Loaded | None:
     """The compiled programs of a group on a device; None if they are not saved, or cannot be loaded."""
     if key is None or not program_cache.is_saved(key):  # other devices need the traced programs
         return None
-    content = program_cache.read(_name(key, device), EXECUTABLES)
+    content = disk_cache.read(_name(key, device), EXECUTABLES)
     if content is None:
         return None
     if device.platform == "cpu":

@@ -19,11 +19,8 @@ import json
 import os
 import pickle
 import platform
-import stat
 import sys
-import tempfile
 import threading
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from types import MappingProxyType
@@ -34,10 +31,11 @@ import jax.monitoring
 from jax.stages import Compiled
 from typing_extensions import override
 
-from bojax.engine.devices import Device, setting
+from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup, nodes_with
 from bojax.engine.program import Program, abstract
 from bojax.engine.provenance import code_hashes, installed
+from bojax.numerics.disk_cache import PROGRAMS, content_of, drop_unused, folder_of, read, write
 
 PACKAGES = (
     "bojax",
@@ -53,19 +51,13 @@ PACKAGES = (
 )
 """Packages, with their versions in the key, whose classes and functions a cached group may contain."""
 
-PROGRAMS, EXECUTABLES = FOLDERS = "programs", "executables"
-"""Folders, beside JAX's entries, of traced programs and, for `executables`, of compiled ones."""
-
 _MOST_HELD = 16
 """Number of groups, counted for each device, whose programs `held` keeps in memory: those loaded last."""
 
 _TAG_DIGITS = 16
 """Number of digits of a key that stand for the content of the group, whatever the version of the code."""
 
-_DIGEST_BYTES = hashlib.sha256().digest_size
 _KNOWN = {*sys.stdlib_module_names, *PACKAGES}
-_UNUSED_SECONDS = 30 * 24 * 3600
-"""Time after which an entry that was not used is deleted."""
 
 
 def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
@@ -151,9 +143,7 @@ def save(key: str, names: Collection[str], num_carried: int) -> bool:
     """
     if not write(key, json.dumps([list(names), num_carried]).encode()):
         return False
-    for folder in filter(None, map(folder_of, FOLDERS)):
-        with contextlib.suppress(OSError):  # there is none, or another process is deleting them
-            drop_unused(folder)
+    drop_unused()
     return True
 
 
@@ -240,58 +230,8 @@ def _entries_of(name: str) -> list[Path]:
 def _hash_of(path: Path) -> bytes | None:
     """The hash of a file; None if it is missing or not a regular file."""
     with contextlib.suppress(OSError):
-        return hashlib.sha256(_content_of(path)).digest()
+        return hashlib.sha256(content_of(path)).digest()
     return None
-
-
-def write(name: str, content: bytes, where: str = PROGRAMS) -> bool:
-    """Write an entry in one of `FOLDERS`, whole or not at all, with a checksum over its name and content."""
-    folder = folder_of(where)
-    if folder is None:
-        return False
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
-            try:
-                # The name is part of the checksum: an entry that was copied to another name is refused.
-                file.write(_checksum(name, content) + content)
-                file.flush()
-                os.replace(file.name, folder / name)
-            except OSError:  # a full disk must not be filled further
-                os.unlink(file.name)
-                raise
-    except OSError:  # the next sweep compiles again
-        return False
-    return True
-
-
-def read(name: str, where: str = PROGRAMS) -> bytes | None:
-    """The content of an entry in one of `FOLDERS`; None if it is missing, damaged, or no regular file."""
-    folder = folder_of(where)
-    try:
-        content = b"" if folder is None else _content_of(folder / name)
-    except OSError:
-        return None
-    digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    return content if digest == _checksum(name, content) else None
-
-
-def _checksum(name: str, content: bytes) -> bytes:
-    return hashlib.sha256(name.encode() + b"\0" + content).digest()
-
-
-def _content_of(path: Path) -> bytes:
-    """The content of a regular file, which is marked as used; opening a pipe would block.
-
-    Raises:
-        OSError: There is no such file, or it is not a regular one.
-    """
-    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(f"{path} is not a regular file")
-        with contextlib.suppress(OSError):  # of a file system that is mounted for reading
-            os.utime(file.fileno())
-        return file.read()
 
 
 FOUND, WRITTEN = "/jax/compilation_cache/cache_hits", "/jax/compilation_cache/cache_misses"
@@ -315,22 +255,6 @@ def _note(event: str, **_: object) -> None:
 
 _events = threading.local()
 jax.monitoring.register_event_listener(_note)
-
-
-def drop_unused(folder: Path) -> None:
-    """Delete the entries that were not used for a month."""
-    oldest = time.time() - _UNUSED_SECONDS
-    for path in folder.iterdir():
-        if path.stat().st_mtime < oldest:
-            path.unlink()
-
-
-def folder_of(what: str) -> Path | None:
-    """A folder of the cache, below JAX's; None if JAX's cache is off or not on a local disk."""
-    folder = setting("jax_compilation_cache_dir")
-    if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
-        return None
-    return Path(folder) / what
 
 
 @functools.cache

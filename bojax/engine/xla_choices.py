@@ -27,7 +27,7 @@ from pathlib import Path
 import jax
 
 from bojax.engine.devices import Device, prepare
-from bojax.engine.program_cache import folder_of
+from bojax.numerics.disk_cache import folder_of
 
 XLA_FOLDER = "xla_gpu_per_fusion_autotune_cache_dir"
 """The folder in JAX's cache, and the option of XLA's compiler that names a folder."""

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Space
@@ -25,7 +25,7 @@ class StepRows(eqx.Module):
         """The layout for the transitions of an environment."""
         frame = None
         if not env.is_hosted:
-            frame = jax.eval_shape(lambda: env.frame(env.reset(jax.random.key(0))))
+            frame = jax.eval_shape(_first_frame, env, jax.eval_shape(jax.random.key, 0))
         return cls(env.observation_space, env.action_space, 0 if frame is None else frame.size, dtype)
 
     @property
@@ -94,6 +94,11 @@ class StepRows(eqx.Module):
             for name, size in sizes.items()
             for i in range(size)
         )
+
+
+def _first_frame(env: Env, key: Key[Array, ""]) -> Float[Array, "Q"] | None:
+    """The frame of an initial state. JAX keeps the shapes that it finds for a function of this module."""
+    return env.frame(env.reset(key))
 
 
 _STEP_COLUMNS: Table = (

@@ -3,6 +3,8 @@
 import abc
 import contextlib
 import functools
+import hashlib
+import importlib.metadata
 import itertools
 import sys
 from collections.abc import Callable
@@ -15,10 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from bojax.numerics import disk_cache
+from bojax.numerics.disk_cache import KERNELS
 from bojax.numerics.lanes import batched_together
 from bojax.numerics.pallas import builds_for_another_machine, kernels_run_here
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
+from bojax.robots.kernel import scalar_kernel
 from bojax.robots.kernel.scalar_kernel import ScalarKernel
 from bojax.robots.kernel.scalars import NotScalar
 from bojax.robots.kernel.small_factors import small_factors
@@ -90,7 +95,9 @@ class Simulator(eqx.Module):
         if self.impl == "pallas" and not (kernels_run_here() or builds_for_another_machine()):
             needed = "needs an NVIDIA GPU of compute capability 8.0 or more"
             raise ValueError(f'physics.impl: got "pallas", which {needed}; allowed here: "jax", "c"')
-        _ = self._advance
+        # A kernel is made when a program is traced, which a saved program is not.
+        if self.impl != "pallas" or not _can_be_a_kernel(self._configured, self.substeps):
+            _ = self._advance
 
     @property
     def mujoco_model(self) -> MjModel:
@@ -222,12 +229,32 @@ def _is_for_mjx(configured: ConfiguredModel) -> bool:
 
 @functools.cache
 def _can_be_a_kernel(configured: ConfiguredModel, substeps: int) -> bool:
-    """Whether a kernel can simulate the model; if not, `_kernel_steps` has the reason."""
-    try:
-        _kernel_steps(configured, substeps)
-    except ValueError:
-        return False
-    return True
+    """Whether a kernel can simulate the model; if not, `_kernel_steps` has the reason.
+
+    MJX has to be traced to find out, which takes seconds: the answer is kept on the disk.
+    """
+    model = _compiled(configured)
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    parts = content.tobytes(), substeps, scalar_kernel.MOST_SCALARS, _what_decides()
+    name = hashlib.sha256(repr(parts).encode()).hexdigest()
+    kept = disk_cache.read(name, KERNELS)
+    if kept is None:
+        try:
+            _kernel_steps(configured, substeps)
+            kept = b"yes"
+        except ValueError:
+            kept = b"no"
+        disk_cache.write(name, kept, KERNELS)
+    return kept == b"yes"
+
+
+@functools.cache
+def _what_decides() -> list[object]:
+    """The code that decides whether a model can be a kernel, besides the model."""
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
+    versions = (importlib.metadata.version(name) for name in ("jax", "mujoco", "mujoco-mjx"))
+    return [*versions, *(path.read_bytes() for path in sources)]
 
 
 @functools.cache

@@ -8,11 +8,12 @@ import jax
 import numpy as np
 import pytest
 
-from bojax.engine import autotuning, batch, executables, program_cache
+from bojax.engine import autotuning, batch, executables
 from bojax.engine.autotuning import Choices, contents_of
 from bojax.engine.batch import Programs
 from bojax.engine.program import Program
-from bojax.engine.program_cache import EXECUTABLES
+from bojax.numerics import disk_cache
+from bojax.numerics.disk_cache import EXECUTABLES
 from bojax.results.folder import RunFolder
 from tests.engine.test_program_cache import (
     DEVICE,
@@ -73,8 +74,8 @@ def test_another_device_lowers_them_once(cache):
         same_bits(advanced(found), expected)
         assert [path.name[-2:] for path in files(cache)] == ["-0", "-1"]
     assert executables.load(key, other) is not None
-    content = program_cache.read(f"{key}-0", EXECUTABLES)
-    assert content is not None and program_cache.write(f"{key}-1", content, EXECUTABLES)
+    content = disk_cache.read(f"{key}-0", EXECUTABLES)
+    assert content is not None and disk_cache.write(f"{key}-1", content, EXECUTABLES)
     assert executables.load(key, other) is None, "the file of another device"
 
 
@@ -93,7 +94,7 @@ def test_a_damaged_file_is_not_used_and_is_replaced_by_a_compilation(cache, dama
         (other,) = set(files(cache)) - {entry}
         entry.write_bytes(other.read_bytes())
     elif damage == "of another version":
-        assert program_cache.write(entry.name, zlib.compress(pickle.dumps({"format": 2})), EXECUTABLES)
+        assert disk_cache.write(entry.name, zlib.compress(pickle.dumps({"format": 2})), EXECUTABLES)
     else:
         spoil(entry, damage)
     key = key_of(group_of())

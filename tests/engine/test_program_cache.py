@@ -24,9 +24,10 @@ from bojax.engine.build import build
 from bojax.engine.chunks import SHORTEST_ON_CPU
 from bojax.engine.groups import static_groups
 from bojax.engine.program import GAINS_FROM_GRAPHS, GAINS_FROM_PASSES, Program
-from bojax.engine.program_cache import EXECUTABLES
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
+from bojax.numerics import disk_cache
+from bojax.numerics.disk_cache import EXECUTABLES
 from tests.engine.drive import run_sweep
 from tests.tiers import by_tier
 from tests.toy import toy
@@ -315,7 +316,7 @@ def test_a_damaged_entry_is_not_used_and_replaced(compiled, entries, damage):
 @pytest.mark.parametrize("content", [b"\x80\x04", b"5", b"[[], 0]", b'[["no-such"], 1]'])
 def test_an_index_with_other_content_is_not_used_and_replaced(compiled, entries, content):
     group = entries[0].name
-    assert program_cache.write(group, content)  # with a right checksum
+    assert disk_cache.write(group, content)  # with a right checksum
     assert program_cache.load(group) is None
     jax.tree.map(np.testing.assert_array_equal, advanced(programs_of(group_of())), advanced(compiled[0]))
     assert program_cache.load(group) is not None

@@ -8,6 +8,7 @@ import pytest
 
 import bojax.robots.simulator
 from bojax.engine.build import build
+from bojax.numerics.disk_cache import KERNELS
 from bojax.numerics.third_party import standard_jax
 from bojax.robots.kernel import scalar_kernel
 from bojax.robots.models import RobotModel, packaged
@@ -22,6 +23,7 @@ from bojax.robots.simulator import (
     _kernel_steps,
     _steps_of,
 )
+from tests.engine.test_program_cache import caching_in
 from tests.robots import test_simulator
 from tests.tiers import by_tier
 
@@ -116,6 +118,31 @@ def test_a_model_that_is_too_large_is_refused(monkeypatch):
         _kernel_steps(ConfiguredModel(PENDULUM), SUBSTEPS + 1)
     assert not _can_be_a_kernel(ConfiguredModel(PENDULUM), SUBSTEPS + 1)
     assert _can_be_a_kernel(ConfiguredModel(PENDULUM), SUBSTEPS)
+
+
+def test_whether_a_model_can_be_a_kernel_is_kept(monkeypatch, tmp_path):
+    """A process that finds the answer traces nothing, and builds the kernel once a program needs it."""
+    made = []
+    monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: True)
+    monkeypatch.setattr(bojax.robots.simulator, "_kernel_steps", lambda *key: made.append(key))
+
+    def simulator():
+        _can_be_a_kernel.cache_clear()  # as in a new process
+        return Simulator(build(MJX(impl="pallas"), "float32"), PENDULUM, substeps=1)
+
+    with caching_in(tmp_path / "cache"):
+        simulator()
+        assert len(made) == 1
+        assert simulator().impl == "pallas"
+        assert len(made) == 1
+        (entry,) = (tmp_path / "cache" / KERNELS).iterdir()
+        entry.write_bytes(b"yes")  # without a checksum
+        simulator()
+        assert len(made) == 2
+        monkeypatch.setattr(scalar_kernel, "MOST_SCALARS", 100)  # another kernel
+        simulator()
+        assert len(made) == 3
+    _can_be_a_kernel.cache_clear()
 
 
 def test_a_kernel_needs_a_gpu(monkeypatch):
