@@ -26,8 +26,8 @@ UNHASHED = ("api", "cli", "report")
 def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
     """Hashes of the package's sources, read once in a process, and of other files that define the modules.
 
-    A module states files besides its source by `model_files`: their text by name. Files of one name share a
-    hash.
+    A module states files besides its source by `model_files`: their text, or a hash, by name. Files of one
+    name share a hash.
     """
     modules = list(modules)
     hashes = {"bojax": _package_hash()}

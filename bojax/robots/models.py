@@ -7,6 +7,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from bojax.config.limits import TEXT, read_within
 from bojax.text import one_line
 
@@ -65,6 +67,13 @@ def from_file(path: str | Path) -> RobotModel:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise ValueError(f"{path}: {reason or one_line(error)}") from error
+
+
+def content_of(model: MjModel) -> bytes:
+    """A compiled model as MuJoCo saves it: everything that it was made of, meshes and included files too."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content.tobytes()
 
 
 @functools.cache

@@ -27,7 +27,7 @@ from bojax.robots.kernel import scalar_kernel
 from bojax.robots.kernel.scalar_kernel import ScalarKernel
 from bojax.robots.kernel.scalars import NotScalar
 from bojax.robots.kernel.small_factors import small_factors
-from bojax.robots.models import MjModel, RobotModel, mujoco
+from bojax.robots.models import MjModel, RobotModel, content_of, mujoco
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
 from bojax.text import one_line
 
@@ -193,12 +193,12 @@ class Simulated(eqx.Module):
 
     @property
     def model_files(self) -> dict[str, str]:
-        """The MJCF of a robot of one's own, with what it includes, by the name of its file.
-
-        MuJoCo writes the whole with six digits, so that the text of the file itself is there as well.
-        """
+        """The model of a robot of one's own, as a hash, by the name of its file."""
         model = self.simulator.model
-        return {} if model.path is None else {Path(model.path).name: model.xml + model.spec().to_xml()}
+        if model.path is None:
+            return {}
+        content = content_of(model.spec().compile())  # anew: files that the model reads may have changed
+        return {Path(model.path).name: hashlib.sha256(content).hexdigest()}
 
     @property
     def calls_process(self) -> bool:
@@ -233,10 +233,7 @@ def _can_be_a_kernel(configured: ConfiguredModel, substeps: int) -> bool:
 
     MJX has to be traced to find out, which takes seconds: the answer is kept on the disk.
     """
-    model = _compiled(configured)
-    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    parts = content.tobytes(), substeps, scalar_kernel.MOST_SCALARS, _what_decides()
+    parts = content_of(_compiled(configured)), substeps, scalar_kernel.MOST_SCALARS, _what_decides()
     name = hashlib.sha256(repr(parts).encode()).hexdigest()
     kept = disk_cache.read(name, KERNELS)
     if kept is None:

@@ -5,7 +5,7 @@ import equinox as eqx
 import bojax
 from bojax.engine import provenance
 from bojax.engine.build import build
-from bojax.robots.models import from_file
+from bojax.robots.models import from_file, mujoco
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Physics, Simulated, Simulator
 
@@ -16,7 +16,7 @@ def test_the_version_of_bojax_is_recorded_whatever_its_distribution_is_called(mo
 
 
 class Mass(Simulated):
-    """A robot whose MJCF includes another file."""
+    """A robot whose MJCF includes another file, and reads a mesh."""
 
     physics: Physics
     file: str = eqx.field(static=True)
@@ -32,16 +32,24 @@ def test_a_robot_with_another_model_is_other_code(tmp_path):
     for folder in folders:
         folder.mkdir()
 
-    def hashes(*sizes, timestep=0.01):
+    def hashes(*sizes, timestep=0.01, height=1):
         for folder, size in zip(folders, sizes, strict=True):
             option = f'<option timestep="{timestep}"/>'
-            (folder / "mass.xml").write_text(f'<mujoco>{option}<include file="body.xml"/></mujoco>')
-            body = f'<body><joint/><geom size="{size}"/></body>'
+            mesh = '<asset><mesh file="shape.obj"/></asset>'
+            (folder / "mass.xml").write_text(f'<mujoco>{option}{mesh}<include file="body.xml"/></mujoco>')
+            corners, faces = (
+                f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 {height}\n",
+                "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n",
+            )
+            (folder / "shape.obj").write_text(corners + faces)
+            body = f'<body><joint/><geom size="{size}"/><geom type="mesh" mesh="shape"/></body>'
             (folder / "body.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+        mujoco.mj_clearCache(mujoco.mj_getCache())  # of meshes, which a new process has not read
         physics = build(MJX(), "float32")
         return provenance.code_hashes([Mass(physics, str(folder / "mass.xml")) for folder in folders])
 
     before = hashes(1, 2)
     assert before == hashes(1, 2) and set(before) == {"bojax", "mass.xml", __name__}
-    for after in (hashes(3, 2), hashes(1, 3), hashes(1, 2, timestep=0.01000000001)):
+    changed = hashes(3, 2), hashes(1, 3), hashes(1, 2, timestep=0.01000000001), hashes(1, 2, height=2)
+    for after in changed:
         assert [name for name in before if before[name] != after[name]] == ["mass.xml"]
