@@ -55,9 +55,10 @@ class TileTable(eqx.Module):
         # The tiles of a state get their indices for all A actions at once, in the order of actions and then
         # of tilings: if m tiles are new, the indices of the next action are higher by m, and one row serves
         # all actions.
-        is_equal = jnp.all(tiles[:, None, :] == self.tiles[None, :, :], axis=2)
-        is_new, row = ~jnp.any(is_equal, axis=1), jnp.argmax(is_equal, axis=1)
-        rank, number = jnp.cumsum(is_new, dtype=jnp.int32) - 1, jnp.sum(is_new, dtype=jnp.int32)
+        row = self._row_of(tiles)
+        is_new = row < 0
+        count = jnp.cumsum(is_new, dtype=jnp.int32)
+        rank, number = count - 1, count[-1]
         first = jnp.where(is_new, self.num_used + rank, self.first[row])
         stride = jnp.where(is_new, number, self.stride[row])
 
@@ -77,6 +78,16 @@ class TileTable(eqx.Module):
             num_used=jnp.where(is_kept, grown, self.num_used),
         )
         return table, index
+
+    def _row_of(self, tiles: Int[Array, "T C"]) -> Int[Array, "T"]:
+        """The row of each tile; -1 for one that has none."""
+        # No two rows are equal. Columns are compared one by one, so that a GPU needs one kernel for all: it
+        # would write what `jnp.all` finds for every pair of a tile and a row to its memory.
+        is_equal = jnp.ones((len(tiles), len(self.tiles)), bool)
+        for of_tiles, of_rows in zip(tiles.T, self.tiles.T, strict=True):
+            is_equal = is_equal & (of_tiles[:, None] == of_rows[None, :])
+        row = jnp.arange(len(self.tiles), dtype=jnp.int32)
+        return jnp.max(jnp.where(is_equal, row[None, :], -1), axis=1)
 
     @eqx.filter_jit  # traced and lowered once for all look-ups of a program
     def _hashed(self, tiles: Int[Array, "T C"], action: Int[Array, "A 1"]) -> Int[Array, "A T"]:
