@@ -40,8 +40,8 @@ class MJX(PhysicsSettings, frozen=True):
     impl: Literal["auto", "jax", "pallas", "c"] = Field(
         default="auto",
         description="implementation of the steps: MJX in JAX as a program of XLA, MJX as one kernel, "
-        "or C MuJoCo; auto is c on a CPU, for models with contacts, pallas on an NVIDIA GPU, for models "
-        "that can be a kernel, and otherwise jax, or c for models that MJX refuses",
+        "or C MuJoCo; auto is c on a CPU, for models with contacts or closed loops, pallas on an NVIDIA "
+        "GPU, for models that can be a kernel, and otherwise jax, or c for models that MJX refuses",
     )
 
 

@@ -101,7 +101,8 @@ class Mission:
             start: First position, m; of several robots, one for all or a list with one for each.
             end: Last position, or positions, m; anywhere by default.
             spacing: Distance between two measurements, m.
-            lengthscale: Lengthscale of the field before it is learned, m; a sixth of the area by default.
+            lengthscale: Lengthscale of the field before it is learned, m; by default a sixth of the area's
+                longer side.
             noise_variance: Variance of the noise before it is learned, as a share of the values' variance.
             relearn_every: Number of measurements after which the hyper-parameters are learned anew; None for
                 on request only.
