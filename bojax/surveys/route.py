@@ -264,7 +264,7 @@ def _own_guesses(points, budgets, starts, ends, number, random) -> dict[str, lis
         strips = split_points(points, len(starts), angle, starts, ends)
         together = list(zip(strips, budgets, starts, ends, strict=True))
         if index < DIRECTIONS:
-            name = f"lines at {np.degrees(angle):.0f} degrees"
+            name = f"lines at {180 * index / DIRECTIONS:g}\N{DEGREE SIGN}"
             guesses[name] = [parallel_lines(strip, angle, own, at, to) for strip, own, at, to in together]
             continue
         name = f"tour {index - DIRECTIONS + 1}"

@@ -92,7 +92,9 @@ def test_a_route_goes_round_a_hole_and_reaches_its_end():
 
 
 def test_another_budget_compiles_nothing():
-    planned(SQUARE, 15.0, [1.0, 1.0])
+    route = planned(SQUARE, 15.0, [1.0, 1.0])
+    lines = {name for name in route.candidates if "lines" in name}  # named as lawnmowers are
+    assert lines and lines <= {f"optimised from lines at {angle}°" for angle in (0, 45, 90, 135)}
     with events_of_jax() as events:
         planned(SQUARE, 11.0, [3.0, 2.0], key=jax.random.key(1))
     assert COMPILATION not in events
