@@ -5,8 +5,9 @@ move elements disappear, products with a known 0 too, and equal operations are c
 operations on small arrays, in the step of a robot, become about as many on scalars.
 
 Deviations: a product with a known 0 is 0, without a sign, even if the other factor is infinite or no number.
-The Cholesky factor of a matrix that is not positive definite has NaN from the first negative pivot on, where
-JAX has NaN everywhere; a pivot of 0 is only seen by the entries below it.
+On a GPU, the maximum and the minimum of a number and NaN are the number, unless a program keeps NaN. The
+Cholesky factor of a matrix that is not positive definite has NaN from the first negative pivot on, where JAX
+has NaN everywhere; a pivot of 0 is only seen by the entries below it.
 """
 
 import dataclasses
@@ -48,19 +49,23 @@ class ScalarProgram:
         outputs: The elements of the results.
     """
 
-    def __init__(self, function: Callable[..., Any], *examples: Any, most: int = 100_000):
+    def __init__(
+        self, function: Callable[..., Any], *examples: Any, most: int = 100_000, keeps_nan: bool = False
+    ):
         """Trace a function.
 
         Args:
             function: A function of arrays for a single lane.
             examples: Arrays, or shapes with dtypes, as its arguments.
             most: Largest number of scalars.
+            keeps_nan: Whether the maximum and the minimum of a number and NaN are NaN in a kernel, too, which
+                takes Triton further operations.
 
         Raises:
             NotScalar: It cannot be taken apart, has too many scalars, or has no arguments.
         """
         traced = jax.make_jaxpr(function)(*examples)
-        tracing = _Tracing(most)
+        tracing = _Tracing(most, keeps_nan)
         arguments = [tracing.inputs(v.aval) for v in traced.jaxpr.invars]
         # The caller may be traced itself, but known numbers are computed now.
         with jax.ensure_compile_time_eval():
@@ -136,6 +141,14 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
 """Elementwise operations, and those of NumPy for known operands."""
 
 
+_OF_FUNCTIONS = "scan", "while", "cond", "reduce", "reduce_window", "pallas_call"
+"""Operations that do not call the function among their parameters just once."""
+
+
+_OF_KEYS = "random_wrap", "random_unwrap", "random_fold_in", "random_bits"
+"""Operations on keys that have a rule."""
+
+
 _PARITY = 0x1BD11BDA
 _ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 """The constants of Threefry-2x32 (Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011)."""
@@ -144,23 +157,31 @@ _ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 class _Tracing:
     """The scalars of one program, in the order of their computation."""
 
-    def __init__(self, most: int):
+    def __init__(self, most: int, keeps_nan: bool):
         self._numbers, self._most, self._level = itertools.count(), most, 0
+        self._keeps_nan = keeps_nan
         self._found: dict[Any, Scalar] = {}
 
     # ---- scalars
 
     def scalar(self, operands: Sequence[Any], compute: Callable[..., Any] | None, dtype: Any) -> Scalar:
         number = next(self._numbers)
+        dtype = np.dtype(dtype)
         if number > self._most:
             raise NotScalar("too many scalars")
+        if dtype.kind not in "biu" and dtype.name not in ("float32", "float64"):
+            raise NotScalar(f"numbers of type {dtype}, which Triton has few operations of")
         # An operation belongs to the innermost loop that changes one of its operands, not to the loop that
         # it is written in: what a loop does not change is computed once, before it.
         level = max((x.level for x in operands if isinstance(x, Scalar)), default=0)
-        return Scalar(number, level, operands, compute, np.dtype(dtype))
+        return Scalar(number, level, operands, compute, dtype)
 
     def inputs(self, aval: Any) -> np.ndarray:
         """An array of unknown scalars: an argument, or the carry of a loop."""
+        if _is_key(aval):
+            raise NotScalar("a key as an argument")
+        if aval.size > self._most:  # before they are made
+            raise NotScalar("too many scalars")
         dtype = np.dtype(aval.dtype)
         return _each(
             lambda _: Scalar(next(self._numbers), self._level, (), None, dtype), np.empty(aval.shape)
@@ -175,6 +196,12 @@ class _Tracing:
                 return _selected(*operands)
             with np.errstate(all="ignore"):
                 return np.dtype(dtype).type(_UFUNCS[name](*operands))
+        if name in ("max", "min"):
+            if np.dtype(dtype) == np.bool_:  # Triton has these of numbers only
+                name = "or" if name == "max" else "and"
+                compute = _operation(name)
+            elif self._keeps_nan and np.issubdtype(dtype, np.floating):
+                compute = functools.partial(_or_nan, compute)
         simple = _simplified(name, operands, dtype)
         if simple is not None:
             return simple
@@ -203,7 +230,8 @@ class _Tracing:
 
     def evaluate(self, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
         """The results of a traced function; an array of known numbers alone is an array of NumPy."""
-        values = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
+        words = (jax.random.key_data(x) if _is_key(x) else x for x in consts)
+        values = dict(zip(jaxpr.constvars, map(np.asarray, words), strict=True))
         values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
         def read(v: Any) -> np.ndarray:
@@ -215,14 +243,20 @@ class _Tracing:
 
     def results(self, eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
         """The results of one operation on arrays."""
-        name, params, aval = eqn.primitive.name, eqn.params, eqn.outvars[0].aval
+        name, params = eqn.primitive.name, eqn.params
         # Functions within functions (jit, custom derivatives) are evaluated in place; loops have rules below.
         for called in ("jaxpr", "call_jaxpr", "call"):
-            if called in params and name not in ("scan", "while", "cond"):
+            if called in params and name not in _OF_FUNCTIONS:
                 return self.evaluate(*_opened(params[called]), arrays)
+        is_of_keys = any(_is_key(v.aval) for v in (*eqn.invars, *eqn.outvars))
+        if not eqn.outvars or (is_of_keys and name not in _OF_KEYS):
+            raise NotScalar(f"{name}, of keys or without results")
+        aval = eqn.outvars[0].aval
         if name in _UFUNCS or name == "select_n":
             if name == "select_n" and arrays[0].ndim == 0:
                 arrays[0] = np.broadcast_to(arrays[0], arrays[1].shape)
+            if len(arrays) > 3:  # Triton chooses between two
+                return [self.chosen(arrays[0], arrays[1:], aval.dtype, eqn.invars[0].aval.dtype)]
             return [self.elementwise(name, arrays, aval.dtype)]
         if name in _MOVES:
             return [np.asarray(_MOVES[name](params, aval, *arrays))]
@@ -244,8 +278,8 @@ class _Tracing:
     def _integer_pow(self, eqn: Any, x: np.ndarray) -> np.ndarray:
         if eqn.params["y"] < 1:
             raise NotScalar("a power that is not positive")
-        powers = itertools.repeat(x, eqn.params["y"])
-        return functools.reduce(lambda a, b: self.elementwise("mul", [a, b], x.dtype), powers)
+        powers, dtype = itertools.repeat(x, eqn.params["y"]), eqn.outvars[0].aval.dtype
+        return functools.reduce(lambda a, b: self.elementwise("mul", [a, b], dtype), powers)
 
     def _convert_element_type(self, eqn: Any, x: np.ndarray) -> np.ndarray:
         return self.converted(x, np.dtype(eqn.params["new_dtype"]))
@@ -303,17 +337,23 @@ class _Tracing:
     def _dynamic_slice(self, eqn: Any, x: np.ndarray, *starts: np.ndarray) -> np.ndarray:
         for axis, (start, size) in enumerate(zip(starts, eqn.params["slice_sizes"], strict=True)):
             parts = [x.take(range(k, k + size), axis) for k in range(x.shape[axis] - size + 1)]
-            x = self.chosen(start, parts, eqn.outvars[0].aval.dtype)
+            # Compared as they are: a large unsigned number would be a negative one as an integer of 32 bits.
+            number = np.dtype(eqn.invars[1 + axis].aval.dtype)
+            if number.itemsize < 4:
+                start, number = self.converted(start, np.dtype(np.int32)), np.dtype(np.int32)
+            x = self.chosen(start, parts, eqn.outvars[0].aval.dtype, number)
         return x
 
-    def chosen(self, index: np.ndarray, cases: Sequence[np.ndarray], dtype: Any) -> np.ndarray:
-        """The array of an index; for an index out of range, the first or the last.
+    def chosen(
+        self, index: np.ndarray, cases: Sequence[np.ndarray], dtype: Any, number: Any = np.int32
+    ) -> np.ndarray:
+        """The array of an index of type `number`; for an index out of range, the first or the last.
 
         Scalars cannot be indexed by a computed number: comparisons choose among all of them.
         """
-        found, index = cases[0], self.converted(index, np.dtype(np.int32))
+        found = cases[0]
         for k in range(1, len(cases)):
-            reaches = self.elementwise("ge", [index, np.asarray(k, np.int32)], bool)
+            reaches = self.elementwise("ge", [index, np.asarray(k, number)], bool)
             reaches = np.broadcast_to(reaches, found.shape)
             found = self.elementwise("select_n", [reaches, found, cases[k]], dtype)
         return found
@@ -333,10 +373,8 @@ class _Tracing:
         return self._by_words(eqn, lambda words: threefry_prng_impl.random_bits(words, width, shape), key)
 
     def _by_words(self, eqn: Any, function: Any, key: np.ndarray, *rest: np.ndarray) -> list[np.ndarray]:
-        if (
-            eqn.invars[0].aval.shape
-            or eqn.invars[0].aval.dtype != jax.random.key(0, impl="threefry2x32").dtype
-        ):
+        is_one = not any(v.aval.shape for v in eqn.invars)
+        if not is_one or eqn.invars[0].aval.dtype != jax.random.key(0, impl="threefry2x32").dtype:
             raise NotScalar("several keys, or keys of another kind than Threefry's")
         words = jax.ShapeDtypeStruct((2,), np.uint32)
         traced = jax.make_jaxpr(function)(words, *(v.aval for v in eqn.invars[1:]))
@@ -379,7 +417,7 @@ class _Tracing:
     def _unstack(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
         return [np.asarray(part) for part in np.moveaxis(x, eqn.params["axis"], 0)]
 
-    def _reduce(self, eqn: Any, x: np.ndarray, name: str, empty: Callable[[Any], Any]) -> np.ndarray:
+    def _reduced(self, eqn: Any, x: np.ndarray, name: str, empty: Callable[[Any], Any]) -> np.ndarray:
         dtype, axes = eqn.outvars[0].aval.dtype, tuple(eqn.params["axes"])
         rest = [i for i in range(x.ndim) if i not in axes]
         size = math.prod(x.shape[i] for i in axes)
@@ -389,11 +427,11 @@ class _Tracing:
             found[at] = self.total(name, list(x[at]) or [np.dtype(dtype).type(empty(dtype))], dtype)
         return _tidy(found, dtype)
 
-    _reduce_sum = functools.partialmethod(_reduce, name="add", empty=lambda dtype: 0)
-    _reduce_max = functools.partialmethod(_reduce, name="max", empty=lambda dtype: _bounds(dtype)[0])
-    _reduce_min = functools.partialmethod(_reduce, name="min", empty=lambda dtype: _bounds(dtype)[1])
-    _reduce_and = functools.partialmethod(_reduce, name="and", empty=lambda dtype: True)
-    _reduce_or = functools.partialmethod(_reduce, name="or", empty=lambda dtype: False)
+    _reduce_sum = functools.partialmethod(_reduced, name="add", empty=lambda dtype: 0)
+    _reduce_max = functools.partialmethod(_reduced, name="max", empty=lambda dtype: _bounds(dtype)[0])
+    _reduce_min = functools.partialmethod(_reduced, name="min", empty=lambda dtype: _bounds(dtype)[1])
+    _reduce_and = functools.partialmethod(_reduced, name="and", empty=lambda dtype: True)
+    _reduce_or = functools.partialmethod(_reduced, name="or", empty=lambda dtype: False)
 
     def _dot_general(self, eqn: Any, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         aval, ((lc, rc), (lb, rb)) = eqn.outvars[0].aval, eqn.params["dimension_numbers"]
@@ -580,6 +618,11 @@ class _Tracing:
         return [result(aval) for aval in avals]
 
 
+def _or_nan(compute: Callable[..., Any], x: Any, y: Any) -> Any:
+    """The result of an operation on two floats, or NaN if one is NaN; Triton's maximum is the other one."""
+    return lax.select((x < y) | (x >= y), compute(x, y), x + y)
+
+
 def _selected(which: Any, *cases: Any) -> Any:
     """The case of a known number; one that is out of range is the first or the last."""
     return cases[min(max(int(which), 0), len(cases) - 1)]
@@ -601,7 +644,9 @@ def _simplified(name: str, operands: Sequence[Any], dtype: Any) -> Any:
         # Of a shift by all bits or more, JAX has 0, and Triton any number.
         if isinstance(operands[1], Scalar):
             raise NotScalar("a shift by a computed number")
-        return np.dtype(dtype).type(0) if operands[1] >= 8 * np.dtype(dtype).itemsize else None
+        # A negative number of bits is a large unsigned one.
+        is_part = 0 <= operands[1] < 8 * np.dtype(dtype).itemsize
+        return None if is_part else np.dtype(dtype).type(0)
     for known, other, is_second in ((operands[0], operands[1], False), (operands[1], operands[0], True)):
         if isinstance(known, Scalar):
             continue
@@ -675,6 +720,11 @@ def _bounds(dtype: np.dtype) -> tuple[Any, Any]:
     if np.issubdtype(dtype, np.integer):
         return np.iinfo(dtype).min, np.iinfo(dtype).max
     return -np.inf, np.inf
+
+
+def _is_key(x: Any) -> bool:
+    """Whether an array, or what is known of one, has keys rather than numbers."""
+    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
 def _opened(traced: Any) -> tuple[Any, Sequence[Any]]:

@@ -10,6 +10,7 @@ from tests.compiling import IS_CPU
 
 X = np.random.default_rng(0).normal(size=(4, 3))
 INDEX = np.array([[2, 0], [1, 1]])
+KEY = jax.random.key(3)
 
 
 def systems(x):
@@ -43,6 +44,21 @@ def drawn(x):
     keys = [jax.random.fold_in(key, (9.0 * jnp.abs(number)).astype(jnp.int32)) for number in x[1:].ravel()]
     draws = [jax.random.uniform(keys[i], (), dtype) for i, dtype in enumerate((jnp.float64, jnp.float32))]
     return *draws, jax.random.bits(keys[2], (3,), jnp.uint32), jax.random.key_data(keys[3])
+
+
+def drawn_from_many_keys(x):
+    keys = jax.vmap(lambda i: jax.random.fold_in(KEY, i))(jnp.arange(3))
+    return x[0] + jax.vmap(jax.random.uniform)(keys)
+
+
+def words_of_a_chosen_key(x):
+    keys = (jax.random.wrap_key_data(np.uint32([0, number])) for number in (1, 2))
+    return jax.random.key_data(jnp.where(x[0, 0] > 0.0, *keys))
+
+
+def printed(x):
+    jax.debug.print("")
+    return x
 
 
 FUNCTIONS = {
@@ -164,6 +180,16 @@ AWKWARD = {
         lambda x: [f(x.astype(np.uint32), np.uint32(n)) for n in (3, 32, 99) for f in SHIFTS],
         ROW,
     ),
+    "places that do not fit": (
+        lambda x, y: [jax.lax.dynamic_slice(x, (y[-2].astype(d),), (2,)) for d in (np.int8, np.uint32)],
+        ROW,
+        WHOLE,
+    ),
+    "draws from a known key": (
+        lambda x: x + jax.random.uniform(jax.random.fold_in(KEY, x[0].astype(int)), (), x.dtype),
+        ROW,
+    ),
+    "truth": (lambda x: [f(x > 1.0, x < 4.0) for f in (jax.lax.max, jax.lax.min)], ROW),
     "bits": (
         lambda x, y: (jax.lax.bitcast_convert_type(x, np.uint32), y ^ 5),
         WIDE,
@@ -254,6 +280,11 @@ def test_known_zeros_and_repetitions_cost_nothing():
         lambda x: x.at[jnp.argmax(x[:, 0])].set(0.0),
         lambda x: x[0].astype(jnp.uint32) << x[1].astype(jnp.uint32),
         lambda x: jax.random.uniform(jax.random.key(0, impl="rbg"), (), x.dtype) * x,
+        drawn_from_many_keys,
+        words_of_a_chosen_key,
+        printed,
+        lambda x: jax.lax.reduce(x, 1.0, lambda a, b: a * b + a, (1,)),
+        lambda x: x.astype(jnp.bfloat16) + 1,
         lambda x: jnp.sort(x[0]),
         lambda x: x.at[jnp.array([0, 1])].apply(jnp.sin),
         lambda x: jax.vmap(lambda y: jax.lax.while_loop(lambda c: c < 5.0, lambda c: c + 1.0, y))(x[0]),
@@ -266,6 +297,11 @@ def test_known_zeros_and_repetitions_cost_nothing():
         "index",
         "shift",
         "rbg",
+        "keys",
+        "a chosen key",
+        "output",
+        "a reduction by a function",
+        "bfloat16",
         "sort",
         "function",
         "conditions",
@@ -280,6 +316,25 @@ def test_what_cannot_be_taken_apart_is_refused(function):
         ScalarProgram(function, X)
 
 
+def test_keys_are_no_arguments():
+    with pytest.raises(NotScalar, match="key"):
+        ScalarProgram(jax.random.uniform, KEY)
+
+
+def test_programs_for_triton_keep_nan(monkeypatch):
+    program = ScalarProgram(lambda x, y: (*extremes(x, y), jnp.max(x)), WIDE, WIDE[::-1], keeps_nan=True)
+    wanted = [*extremes(WIDE, WIDE[::-1].copy()), [np.nan]]
+    monkeypatch.setattr(jax.lax, "max", jnp.fmax)  # as Triton's
+    monkeypatch.setattr(jax.lax, "min", jnp.fmin)
+    found = program([jnp.asarray(e) for e in (*WIDE, *WIDE[::-1])])
+    np.testing.assert_array_equal(np.array(found), np.concatenate(wanted))
+
+
+def test_a_shift_by_less_than_0_is_0():
+    program = ScalarProgram(lambda x: [f(x, np.int32(-1)) for f in SHIFTS], WHOLE)
+    assert program.outputs == [0] * 2 * len(WHOLE)
+
+
 def test_a_function_without_arguments_is_refused():
     with pytest.raises(NotScalar, match="no arguments"):
         ScalarProgram(lambda x: x.sum(), np.zeros(0))
@@ -288,3 +343,5 @@ def test_a_function_without_arguments_is_refused():
 def test_a_large_program_is_refused():
     with pytest.raises(NotScalar, match="too many scalars"):
         ScalarProgram(lambda x: x @ x.T, X, most=50)
+    with pytest.raises(NotScalar, match="too many scalars"):
+        ScalarProgram(lambda x: x.shape[0], np.zeros(51), most=50)
