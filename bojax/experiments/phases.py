@@ -176,7 +176,12 @@ class Phase(eqx.Module):
 def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
     """Run an episode of a compiled environment; on a GPU, one of a tabular learner is a kernel."""
     kernel = kernel_of(phase, episode)
-    return either(kernel is not None, kernel or run_in_blocks, run_in_blocks, phase, episode)
+    if kernel is None:
+        return run_in_blocks(phase, episode)
+    # Fields of an environment or a learner may be texts or functions, which a program does not take.
+    arrays, rest = eqx.partition((phase, episode), eqx.is_array)
+    by_kernel, in_blocks = (lambda x, run=run: run(*eqx.combine(x, rest)) for run in (kernel, run_in_blocks))
+    return either(True, by_kernel, in_blocks, arrays)
 
 
 def run_in_blocks(phase: Phase, episode: EpisodeState) -> EpisodeState:

@@ -106,7 +106,9 @@ class _EpisodeKernel:
         row, step = jax.ShapeDtypeStruct(shape, table.dtype), jax.ShapeDtypeStruct((), jnp.int32)
         rows = (row, row) if self._learns else (row,)
         examples = self._given.example, self._own.example, step, *rows
-        self._program = ScalarProgram(functools.partial(_step, phase), *examples, most=MOST_SCALARS)
+        self._program = ScalarProgram(
+            functools.partial(_step, phase), *examples, most=MOST_SCALARS, keeps_nan=True
+        )
 
     def run(self, phase: Any, episode: EpisodeState) -> EpisodeState:
         """Run an episode to its end."""
@@ -179,8 +181,9 @@ def _given(phase: Any) -> Any:
 
 
 def _own(episode: EpisodeState) -> EpisodeState:
-    """The episode without its large arrays."""
-    return replace(episode, learner=None, rows=jnp.zeros((0, episode.rows.shape[-1]), episode.rows.dtype))
+    """The episode without its large arrays; a state may have Python's numbers, which become arrays."""
+    rows = jnp.zeros((0, episode.rows.shape[-1]), episode.rows.dtype)
+    return jax.tree.map(jnp.asarray, replace(episode, learner=None, rows=rows))
 
 
 def _phase_of(phase: Any, given: Any) -> Any:
@@ -200,9 +203,10 @@ def _step(
     row: Float[Array, "A C"],
     next_row: Float[Array, "A C"] | None = None,
 ) -> tuple[Any, ...]:
-    """The next observation and the action, which no `next_row` is needed for, and the episode after the step.
+    """The next observation, the action within its bounds, and the episode after the step.
 
-    If anything is learned, the new entry of the table follows, and the row of the step.
+    The first two need no `next_row`. If anything is learned, the new entry of the table follows, and the row
+    of the step.
     """
     phase = _phase_of(phase, given)
     to_act, to_move, to_learn = phase.keys_of_step(step)
@@ -210,10 +214,13 @@ def _step(
     choice = phase.act(to_act, replace(own, learner=Tables(row[None])))
     env_state, time_step = phase.env.step(to_move, own.env, choice.action)
     after, counts = apply_transition(phase.env, own, env_state, time_step)
-    found = time_step.observation, choice.action, after
+    # A learner of a user's may choose an action that there is not: it must not lead to another row's memory.
+    action = jnp.clip(choice.action, 0, len(row) - 1)
+    found = time_step.observation, action, after
     if next_row is None:
         return found
     transition, exploration, packed = phase.lesson(own, choice, time_step, counts)
     change = phase.learner.change(to_learn, transition, exploration, row, next_row)
     is_state = (own.observation >= 0) & (own.observation < phase.env.observation_space.num)
-    return *found, row[choice.action] + jnp.where(is_state, change, 0.0), packed
+    is_pair = is_state & (action == choice.action)
+    return *found, row[action] + jnp.where(is_pair, change, 0.0), packed

@@ -48,8 +48,9 @@ class TabularLearner(Learner):
 
     # The 200 runs of a point then fill two cores.
     lanes_on_cpu: ClassVar[int] = 100
-    # Whether `act` and `td_target` read no other row of the table than those they are given a state for. A
-    # class says so itself; on a GPU, its episodes are kernels.
+    # Whether `act` and `td_target` read no other row of the table than those they are given a state for, and
+    # `observe` and `flush` are those of this class. A class says so itself; on a GPU, its episodes are
+    # kernels.
     reads_one_row: ClassVar[bool] = False
 
     discount: Float[Array, ""]
@@ -112,7 +113,7 @@ class TabularLearner(Learner):
         change = self.change(key, transition, exploration, row, next_row)
         # The entry is updated by adding 0 where nothing is learned: a select would copy the whole table.
         pair = transition.observation, transition.action
-        return Tables(state.columns.at[pair].add(change, mode="drop"))
+        return Tables(state.columns.at[pair].add(change, mode="drop", wrap_negative_indices=False))
 
     def change(
         self,
@@ -298,7 +299,7 @@ def _num(space: Space, name: str) -> int:
 
 def _row(state: Tables, observation: Int[Array, ""]) -> Float[Array, "A C"]:
     """The row of a state; an observation out of range is clipped."""
-    return state.columns.at[observation].get(mode="clip")
+    return state.columns.at[observation].get(mode="clip", wrap_negative_indices=False)
 
 
 def _greedy_value(transition: Transition, next_row: Float[Array, "A 2"]) -> Float[Array, "1"]:

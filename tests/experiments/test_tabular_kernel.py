@@ -39,12 +39,13 @@ RUNS = {
 
 
 class Broken(CliffWalking):
-    """Returns a state that does not exist in the first column, and no number in the second."""
+    """Returns states that do not exist in the first column, and no number in the second."""
 
     def outcome(self, state, action, branch):
         found, column = super().outcome(state, action, branch), state % 12
         reward = jnp.where((column == 1) & (action == 3), jnp.nan, found.reward)
-        after = jnp.where((column == 0) & (action == 3), 99, found.observation)
+        missing = jnp.where(state >= 36, 99, -1)
+        after = jnp.where((column == 0) & (action == 3), missing, found.observation)
         return moved_to(after, reward, found.terminated)
 
 
@@ -103,6 +104,25 @@ def test_a_broken_environment_breaks_a_kernel_alike(monkeypatch):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
 
 
+class Astray(EpsilonGreedy):
+    """Chooses actions that there are not."""
+
+    reads_one_row: ClassVar[bool] = True
+
+    def act(self, key, state, observation, exploration):
+        action, expected = super().act(key, state, observation, exploration)
+        return jnp.where(action == 1, jnp.where(observation % 2 == 0, -1, 9), action), expected
+
+
+def test_actions_that_there_are_not_are_not_learned(monkeypatch):
+    run = run_of()
+    run = eqx.tree_at(lambda r: r.learner, run, Astray(**vars(run.learner)))
+    (carry, by_kernel), (_, by_xla), _ = both(monkeypatch, run)
+    assert (np.asarray(carry.learner.visits).sum((1, 2)) < np.asarray(carry.steps)).all()
+    for found, expected in zip(by_kernel, by_xla, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
 class Own(AdditiveRewards):
     """A user's learner, which may read the whole table."""
 
@@ -148,7 +168,25 @@ class Known(CliffWalking):
         return after, moved_to(after, jnp.ones((), self.slip.dtype), jnp.zeros((), bool))
 
 
-@pytest.mark.parametrize("env", [CliffWalking, Known])
+class Rich(CliffWalking):
+    """Has a text among its fields, and numbers of Python and truths in its state."""
+
+    name: str = "rich"
+
+    def reset(self, key):
+        return super().reset(key), 0, jnp.zeros(2, bool)
+
+    def observe(self, state):
+        return state[0]
+
+    def step(self, key, state, action):
+        cell, time, seen = state
+        after, found = super().step(key, cell, action)
+        turn = jnp.select([time % 3 == 0, time % 3 == 1], [1, 2], 3)
+        return (after, time + turn, jnp.maximum(seen, jnp.arange(2, dtype=jnp.int32) == after % 2)), found
+
+
+@pytest.mark.parametrize("env", [CliffWalking, Known, Rich])
 def test_a_gpu_gets_the_kernel_and_a_cpu_the_loop(monkeypatch, env):
     """Triton's program is made on any machine, and compiled on a GPU."""
     run = run_of()
@@ -161,10 +199,10 @@ def test_a_gpu_gets_the_kernel_and_a_cpu_the_loop(monkeypatch, env):
         assert ("triton" in traced.lower(lowering_platforms=(platform,)).as_text()) == is_kernel
 
 
-@pytest.mark.parametrize("tests_learn", ["no", "exploiting"])
-def test_what_is_known_of_a_step_is_known_to_a_kernel(monkeypatch, tests_learn):
+@pytest.mark.parametrize(("env", "tests_learn"), [(Known, "no"), (Known, "exploiting"), (Rich, "no")])
+def test_what_is_known_of_a_step_is_known_to_a_kernel(monkeypatch, env, tests_learn):
     run = run_of(tests_learn=tests_learn)
-    run = eqx.tree_at(lambda r: r.env, run, Known(**vars(run.env)))
+    run = eqx.tree_at(lambda r: r.env, run, env(**vars(run.env)))
     (_, by_kernel), (_, by_xla), _ = both(monkeypatch, run)
     for found, expected in zip(by_kernel, by_xla, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
