@@ -52,8 +52,7 @@ def apply_transition(
     # passed on as they are. A non-finite value ends the episode with a total of NaN, and never reaches
     # learner or state.
     dtype = episode.total.dtype
-    values = jnp.append(jnp.ravel(time_step.observation).astype(dtype), time_step.reward)
-    is_finite = jnp.all(jnp.isfinite(values))
+    is_finite = jnp.isfinite(time_step.reward) & jnp.all(jnp.isfinite(time_step.observation.astype(dtype)))
     counts = episode.is_active & is_finite
     fails = episode.is_active & ~is_finite
     length = episode.length + counts.astype(jnp.int32)

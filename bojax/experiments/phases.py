@@ -24,7 +24,7 @@ from bojax.experiments.episode import Choice, EpisodeState, apply_transition
 from bojax.experiments.step_rows import StepRows
 from bojax.experiments.tabular_kernel import kernel_of
 from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
-from bojax.numerics.lanes import any_lane, batched_together
+from bojax.numerics.lanes import any_lane, batched_together, write_row
 from bojax.numerics.pallas import either
 
 PHASES = ("train", "test")
@@ -124,7 +124,7 @@ class Phase(eqx.Module):
         transition, exploration, row = self.lesson(episode, choice, time_step, counts)
         step_in_block = step % self.learner.block
         learner = self.learner.observe(key, episode.learner, transition, exploration, step_in_block)
-        rows = jax.lax.dynamic_update_index_in_dim(episode.rows, row, step, 0)
+        rows = write_row(episode.rows, step, row)
         return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
 
     def lesson(

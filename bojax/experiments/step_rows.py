@@ -25,7 +25,7 @@ class StepRows(eqx.Module):
         """The layout for the transitions of an environment."""
         frame = None
         if not env.is_hosted:
-            frame = jax.eval_shape(_first_frame, env, jax.eval_shape(jax.random.key, 0))
+            frame = eqx.filter_eval_shape(_first_frame, env, jax.eval_shape(jax.random.key, 0))
         return cls(env.observation_space, env.action_space, 0 if frame is None else frame.size, dtype)
 
     @property
@@ -96,8 +96,9 @@ class StepRows(eqx.Module):
         )
 
 
+@eqx.filter_jit  # traced once for all environments of one structure
 def _first_frame(env: Env, key: Key[Array, ""]) -> Float[Array, "Q"] | None:
-    """The frame of an initial state. JAX keeps the shapes that it finds for a function of this module."""
+    """The frame of an initial state."""
     return env.frame(env.reset(key))
 
 

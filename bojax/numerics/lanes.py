@@ -98,6 +98,28 @@ def _together_in_lanes(num_lanes: int, is_batched: Sequence[bool], *arrays: Arra
     return together, (True,) * len(arrays)
 
 
+@jax.custom_batching.custom_vmap
+def write_row(rows: Array, index: Int[Array, ""], row: Array) -> Array:
+    """`rows` with one row replaced, which should be the same one in all lanes of a batch.
+
+    `vmap` alone would turn this into a scatter, which checks the range of its indices: two kernels on a GPU.
+    """
+    return jax.lax.dynamic_update_index_in_dim(rows, row, index, 0)
+
+
+@write_row.def_vmap
+def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, row: Array):
+    if is_batched[1]:
+        axes = [0 if batched else None for batched in is_batched]
+        return jax.vmap(lambda rows, index, row: rows.at[index].set(row), axes)(rows, index, row), True
+    if not is_batched[0]:
+        rows = jnp.broadcast_to(rows, (num_lanes, *rows.shape))
+    if not is_batched[2]:
+        row = jnp.broadcast_to(row, (num_lanes, *row.shape))
+    # The same row of every lane: one slice along axis 1 of the batch, whose axis 0 are the lanes.
+    return jax.lax.dynamic_update_index_in_dim(rows, row, index, 1), True
+
+
 def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
     """`function(*arguments)`, computed on a CPU for one lane after the other.
 

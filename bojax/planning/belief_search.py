@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Num
 
 from bojax.numerics.choices import Choice, one_of
-from bojax.numerics.lanes import any_lane, in_own_kernel, largest_in_lanes
+from bojax.numerics.lanes import any_lane, in_own_kernel, largest_in_lanes, write_row
 from bojax.numerics.simulation_keys import random_index, simulation_key
 from bojax.planning.proposals import Proposal
-from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Tree, row, upper_bound, write_row
+from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Tree, row, upper_bound
 from bojax.planning.widening import Widening
 from bojax.problems.actions import Discrete
 

@@ -17,11 +17,12 @@ from bojax.models.checks import check_takes
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
+from bojax.numerics.lanes import write_row
 from bojax.numerics.pallas import either
 from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning import cbts_kernel
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct, write_row
+from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import PathProblem
 from bojax.results.schema import Column, Table

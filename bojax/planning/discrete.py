@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions, Path
+from bojax.numerics.lanes import write_row
 from bojax.planning.search import PlanDraws, Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_uct, write_row
+from bojax.planning.tree import UNVISITED, Tree, best_by_uct
 from bojax.problems.base import Objective
 
 

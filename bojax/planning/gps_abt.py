@@ -9,9 +9,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions, Path
+from bojax.numerics.lanes import write_row
 from bojax.numerics.loops import short_loop
 from bojax.planning.search import PlanDraws, Proposal, TreeSearch
-from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound, write_row
+from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound
 from bojax.problems.base import Objective
 
 CENTRE = 0  # index of the centre among the points of a stencil

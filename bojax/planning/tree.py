@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Num
 
+from bojax.numerics.lanes import write_row
+
 ROOT = 0  # index of the root node
 UNVISITED = ROOT  # marks an action or a branch that does not exist: nothing leads to the root
 
@@ -231,26 +233,3 @@ def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""])
 def row(rows: Array, *index: Int[Array, "..."]) -> Array:
     """A row of an array, at an index that is known to be in range: without the check of a plain index."""
     return rows.at[index].get(mode="promise_in_bounds")
-
-
-@jax.custom_batching.custom_vmap
-def write_row(rows: Array, index: Int[Array, ""], row: Array) -> Array:
-    """`rows` with one row replaced, at an index that is the same in all lanes of a batch.
-
-    `vmap` alone would turn this into a scatter, which checks the range of its indices: two kernels on a GPU.
-    """
-    return jax.lax.dynamic_update_index_in_dim(rows, row, index, 0)
-
-
-@write_row.def_vmap
-def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, row: Array):
-    # The index differs between lanes only outside of a search, which shares it.
-    if is_batched[1]:
-        axes = [0 if batched else None for batched in is_batched]
-        return jax.vmap(lambda rows, index, row: rows.at[index].set(row), axes)(rows, index, row), True
-    if not is_batched[0]:
-        rows = jnp.broadcast_to(rows, (num_lanes, *rows.shape))
-    if not is_batched[2]:
-        row = jnp.broadcast_to(row, (num_lanes, *row.shape))
-    # The same row of every lane: one slice along axis 1 of the batch, whose axis 0 are the lanes.
-    return jax.lax.dynamic_update_index_in_dim(rows, row, index, 1), True
