@@ -60,6 +60,9 @@ _PLACES = {
 }
 """By role, a setting that takes its parts, and configs: the first that accepts a part is its example."""
 
+_ON_TABLES = {"exploration-values", "additive", "epsilon-greedy", "indicators"}
+"""Parts that need discrete states and actions, which no schema says: their example is the last config."""
+
 Members = (
     Mapping[str, type[Component]]
     | Mapping[str, Path]
@@ -146,6 +149,7 @@ def _example(role: str, kind: str) -> str:
     if role in ("env", "problem") and kind in available("configs"):
         return f"bojax run {kind}"
     key, *configs = _PLACES.get(role, ("",))
+    configs = configs[-1:] if kind in _ON_TABLES else configs
     for config, *settings in map(str.split, configs):
         words = [*settings, f"{key}={kind}"]
         with suppress(ConfigError):

@@ -190,7 +190,8 @@ def print_verdicts(folder: Path, *, is_brief: bool = False) -> None:
     for claim in () if is_brief else claims:
         notes = [] if claim.is_claim else [claim.entry_class]
         notes += [claim.test.reason] if claim.test.reason else []
-        told = printable(f"{claim.id}: {claim.claim}{f' ({joined(notes)})' if notes else ''}")
+        aside = f" ({'; '.join(notes)})" if notes else ""
+        told = printable(f"{claim.id}: {claim.claim}{aside}")
         print(f"{claim.verdict:<14}  {told}", file=sys.stderr)
     if claims:
         say(f"{folder}: {in_words(claims)}")

@@ -8,6 +8,7 @@ from bojax.config import catalog, thesis
 from bojax.config.component import Component
 from bojax.config.files import available
 from bojax.config.sweep import load_config
+from bojax.engine.build import build
 from tests.tiers import by_tier
 
 
@@ -61,6 +62,13 @@ def test_an_example_stands_with_every_group_and_part_and_is_a_valid_config(liste
             config = load_config(name, overrides).points[0].config
             assert kind in parts(config), example
             assert example in listed(kind)
+
+
+def test_the_example_of_a_learner_or_of_features_can_be_run():
+    for role in ("learner", "features"):
+        for kind in catalog.kinds(role):
+            name, *overrides = _example(role, kind).removeprefix("bojax run ").split()
+            build(load_config(name, overrides).points[0].config)
 
 
 def parts(config) -> set[str]:

@@ -64,7 +64,7 @@ def test_page_names_every_planner_and_every_verdict(page, folder):
     assert "97d835b, with uncommitted changes" in page.text
 
 
-def test_verdicts_are_printed(folder, capsys):
+def test_verdicts_are_printed(folder, capsys, tmp_path):
     claims = json.loads((folder / "claims.json").read_text())
     print_verdicts(folder)
     out, err = capsys.readouterr()
@@ -76,6 +76,9 @@ def test_verdicts_are_printed(folder, capsys):
     assert counts == f"{folder}: 7 claims: 3 reproduced, 2 not reproduced and 2 inconclusive"
     print_verdicts(folder, is_brief=True)
     assert capsys.readouterr().err.splitlines() == [counts]
+    (tmp_path / "claims.json").write_text(json.dumps([claims[-1] | {"class": "variant"}]))
+    print_verdicts(tmp_path)
+    assert capsys.readouterr().err.splitlines()[0].endswith("(variant; no runs of cbts)")
 
 
 def test_page_shows_the_numbers_of_the_tables(page):
