@@ -60,8 +60,20 @@ _PLACES = {
 }
 """By role, a setting that takes its parts, and configs: the first that accepts a part is its example."""
 
-_ON_TABLES = {"exploration-values", "additive", "epsilon-greedy", "indicators"}
-"""Parts that need discrete states and actions, which no schema says: their example is the last config."""
+_OF_KINDS = {
+    ("features", "indicators"): "chain learner=rff-q",
+    ("leaf-value", "belief-rollout"): "light-dark",
+    ("leaf-value", "state-value"): "tiger",
+    ("learner", "additive"): "chain",
+    ("learner", "epsilon-greedy"): "chain",
+    ("learner", "exploration-values"): "chain",
+    ("planner", "policy"): "light-dark",
+    ("problem", "pomdp-mountain-car"): "vdp-tag planner=pft-dpw",
+    ("problem", "uncertain-pose"): "vdp-tag planner=pft-dpw",
+    ("sensor", "range"): "hilly-terrain",
+    ("vehicle", "wheeled-robot"): "robot-parking",
+}
+"""The config of parts that do not fit the others of a config above, which no schema says."""
 
 Members = (
     Mapping[str, type[Component]]
@@ -149,8 +161,8 @@ def _example(role: str, kind: str) -> str:
     if role in ("env", "problem") and kind in available("configs"):
         return f"bojax run {kind}"
     key, *configs = _PLACES.get(role, ("",))
-    configs = configs[-1:] if kind in _ON_TABLES else configs
-    for config, *settings in map(str.split, configs):
+    own = _OF_KINDS.get((role, kind))
+    for config, *settings in map(str.split, configs if own is None else [own]):
         words = [*settings, f"{key}={kind}"]
         with suppress(ConfigError):
             load_config(config, words)
