@@ -15,7 +15,7 @@ from typing_extensions import override
 
 from bojax.api.errors import BojaxError, in_one_line
 from bojax.api.plain_values import path_of
-from bojax.config.errors import allowed_names
+from bojax.config.errors import allowed_names, did_you_mean
 from bojax.config.figures import figure_modules
 from bojax.config.yaml_file import read_mapping
 from bojax.report import source, style
@@ -161,7 +161,8 @@ class Results:
             BojaxError: There is no such figure, or the results do not allow it.
         """
         if name is not None and name not in figure_modules():
-            raise BojaxError(f"unknown figure {name}{allowed_names(name, figure_modules())}")
+            known = ", ".join(figure_modules())
+            raise BojaxError(f"unknown figure {name}; allowed: {known}{did_you_mean(name, figure_modules())}")
         reason = "the report has no figure"
         for each in [name] if name else self._results.report.figures or ranked():
             if each not in figure_modules():  # a table

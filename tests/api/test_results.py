@@ -59,7 +59,7 @@ def test_a_figure_is_a_picture_with_its_caption(results):
 
 
 def test_a_figure_that_cannot_be_drawn_is_one_line(results):
-    with pytest.raises(bojax.BojaxError, match='unknown figure return; .*did you mean "returns"'):
+    with pytest.raises(bojax.BojaxError, match='unknown figure return; .*value-maps; did you mean "returns"'):
         results.show("return")
     with one_line(bojax.BojaxError, "the figure learning-curves is not drawn: "):
         results.show("learning-curves")
