@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from bojax.api.errors import BojaxError, in_one_line
 from bojax.config.catalog import kinds, named, roles
-from bojax.config.errors import allowed_names, dotted, shown
+from bojax.config.errors import LIST, allowed_names, dotted, shown
 from bojax.engine.build import build
 
 
@@ -41,7 +41,7 @@ def part(
         owners = [each for each in roles() if kind in kinds(each) and role in (None, each)]
         if not owners:
             known = {name for each in roles() if role in (None, each) for name in kinds(each)}
-            raise BojaxError(f"got {shown(kind)}; unknown {role or 'part'}{allowed_names(kind, known)}")
+            raise BojaxError(f"got {shown(kind)}; unknown {role or 'part'}{allowed_names(kind, known, LIST)}")
         if len(owners) > 1:
             raise BojaxError(f"{kind}: needs a role; allowed: {', '.join(owners)}")
         component = named(

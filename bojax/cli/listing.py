@@ -15,7 +15,7 @@ from bojax.cli.parser import Parser, UsageError
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import Component
 from bojax.config.describe import settings_of, summary_of
-from bojax.config.errors import MAX_NAMES, ConfigError, allowed_names, escaped, printable
+from bojax.config.errors import LIST, MAX_NAMES, ConfigError, allowed_names, escaped, printable
 from bojax.config.extras import OPTIONAL, how_to_install
 from bojax.config.files import available, display
 from bojax.config.sweep import load_config
@@ -140,7 +140,7 @@ def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
         blocks.append(f"{name}: an extra\n{_indented(_summary(OPTIONAL[name]))}\n  {how_to_install(name)}")
     if not blocks:
         names = {*groups, *(known for members in groups.values() for known in members)}
-        raise UsageError(f"unknown name {name}{allowed_names(name, names)}")
+        raise UsageError(f"unknown name {name}{allowed_names(name, names, LIST)}")
     return blocks
 
 

@@ -23,7 +23,7 @@ from bojax.tuning.task import Task, make_task
 _EXAMPLES = """\
   bojax tune parking planner.exploration=0.1:100:log    one setting, searched on a logarithmic scale
   bojax tune mountain-car learner.discount=0.8:1 learner.prior_precision=0.01:10:log \\
-             --metric steps_to_goal --minimise --budget 800
+             --metric steps_to_goal --budget 800
   bojax tune parking planner=kcbts,sbo planner.exploration=1:1000:log    choices are part of the search
   bojax tune my.yaml planner.exploration=1:50 planner.iterations=100 --runs 16
 """

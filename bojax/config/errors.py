@@ -21,6 +21,9 @@ MAX_SHOWN = 60
 MAX_NAMES = 10
 """Maximum number of names in a message."""
 
+LIST = "bojax list"
+"""The command that lists parts, configs and sweeps."""
+
 MAX_MESSAGE = 400
 """Maximum length of a message, in characters."""
 
@@ -87,16 +90,19 @@ def did_you_mean(name: Any, names: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
-def allowed_names(name: Any, names: Iterable[str]) -> str:
-    """The end of a message about an unknown name: `; allowed: a, b, c; did you mean "a"?`."""
+def allowed_names(name: Any, names: Iterable[str], command: str = "") -> str:
+    """The end of a message about an unknown name: `; allowed: a, b, c; did you mean "a"?`, see `listed`."""
     names = sorted(names)
     if not names:
         return "; allowed: none"
-    return "; allowed: " + listed(name, names) + did_you_mean(name, names)
+    return "; allowed: " + listed(name, names, command) + did_you_mean(name, names)
 
 
-def listed(name: Any, names: Iterable[str]) -> str:
-    """Names in alphabetical order; of a long list, those nearest to `name` and the number of the others."""
+def listed(name: Any, names: Iterable[str], command: str = "") -> str:
+    """Names in alphabetical order; of a long list, those nearest to `name` and the number of the others.
+
+    `command` lists all of them.
+    """
     names = sorted(names)
     if len(names) <= MAX_NAMES:
         return ", ".join(names)
@@ -107,7 +113,8 @@ def listed(name: Any, names: Iterable[str]) -> str:
         return -matcher.ratio()
 
     near = list(dict.fromkeys([*_continued(str(name), names), *sorted(names, key=distance)]))[:MAX_NAMES]
-    return f"{', '.join(near)} and {len(names) - MAX_NAMES} more (see: bojax list)"
+    all_of_them = f" (see: {command})" if command else ""
+    return f"{', '.join(near)} and {len(names) - MAX_NAMES} more{all_of_them}"
 
 
 def _continued(name: str, names: Iterable[str]) -> list[str]:
@@ -165,7 +172,7 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         names = [*context["names"], *(siblings if len(line["loc"]) == 1 else ())]
         name, kinds = line["loc"][-1], context["kinds"]
         key = "experiment" if context["role"] == "experiment" else "kind"
-        owners = f" (a setting of {key}={listed(name, kinds)})" if kinds else ""
+        owners = f" (a setting of {key}={listed(name, kinds, LIST)})" if kinds else ""
         below = _below(line["loc"], names, context["open"])
         return f"unknown key{owners}{allowed_names(name, names)}{below}"
     if kind == "missing" and isinstance(line["loc"][-1], int):
@@ -181,7 +188,7 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
             what = f"this name has the role {' and '.join(context['roles'])}, not {context['role']}"
             if {context["role"], *context["roles"]} >= {"problem", "env"}:
                 what += "; planners need a problem, learners an env (experiment: learning)"
-        return got + what + allowed_names(context["kind"], context["names"]) + _several(context["kind"])
+        return got + what + allowed_names(context["kind"], context["names"], LIST) + _several(context["kind"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')
         names = [name.strip('"') for name in allowed.replace(" or ", ", ").split(", ")]

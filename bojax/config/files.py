@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from bojax.config.errors import ConfigError, did_you_mean, listed
+from bojax.config.errors import LIST, ConfigError, did_you_mean, listed
 
 SUFFIXES = (".yaml", ".yml")
 EXPERIMENT = "experiment.yaml"
@@ -57,7 +57,7 @@ def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
         raise ConfigError(
             f"{source}: is in {other}/, not in {folder}/; start it with: bojax {command} {source}"
         )
-    known = f"; allowed: {listed(stem, names)}" if names else ""
+    known = f"; allowed: {listed(stem, names, LIST)}" if names else ""
     raise ConfigError(
         f"{source}: no such file, and no such name in {folder}/{known}{did_you_mean(stem, names)}"
     )

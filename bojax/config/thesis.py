@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from bojax.config.errors import ConfigError, did_you_mean, listed
+from bojax.config.errors import LIST, ConfigError, did_you_mean, listed
 from bojax.config.files import available, display
 from bojax.config.yaml_file import read_mapping
 
@@ -34,7 +34,7 @@ def sweeps_of(name: str) -> list[str]:
         allowed = {*groups(), *contents}
         if name in available("configs"):
             raise ConfigError(f"got {name}, a config; start it with: bojax run {name}")
-        raise ConfigError(f"got {name}; allowed: {listed(name, allowed)}{did_you_mean(name, allowed)}")
+        raise ConfigError(f"got {name}; allowed: {listed(name, allowed, LIST)}{did_you_mean(name, allowed)}")
     return meant
 
 

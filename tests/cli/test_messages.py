@@ -64,7 +64,7 @@ def test_the_middle_of_a_long_message_is_left_out():
 
 def test_a_long_list_of_names_shows_the_nearest():
     names = [f"setting-{index:03d}" for index in range(200)]
-    line = listed("setting-123", names)
+    line = listed("setting-123", names, "bojax list")
     assert line.startswith("setting-123, ") and line.endswith(" and 190 more (see: bojax list)")
     assert line.count(",") == MAX_NAMES - 1
     assert listed("c", ["b", "a"]) == "a, b"
