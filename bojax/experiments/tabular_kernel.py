@@ -29,10 +29,12 @@ MOST_SCALARS = 10_000
 
 def kernel_of(phase: Any, episode: EpisodeState) -> Callable[[Any, EpisodeState], EpisodeState] | None:
     """The function that runs an episode of a `Phase` as a kernel; None if that is not possible."""
-    learner = phase.learner
-    is_tabular = isinstance(learner, TabularLearner) and vars(type(learner)).get("reads_one_row", False)
+    kind = type(phase.learner)
+    is_tabular = issubclass(kind, TabularLearner) and vars(kind).get("reads_one_row", False)
     if not (kernels_run_here() and is_tabular and phase.action_repeat == 1):
         return None
+    if any(getattr(kind, name) is not getattr(TabularLearner, name) for name in ("observe", "flush")):
+        return None  # a step does `change` instead
     try:
         return _EpisodeKernel(phase, episode).run
     except NotScalar:

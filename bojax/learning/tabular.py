@@ -48,9 +48,8 @@ class TabularLearner(Learner):
 
     # The 200 runs of a point then fill two cores.
     lanes_on_cpu: ClassVar[int] = 100
-    # Whether `act` and `td_target` read no other row of the table than those they are given a state for, and
-    # `observe` and `flush` are those of this class. A class says so itself; on a GPU, its episodes are
-    # kernels.
+    # Whether `act` and `td_target` read no other row of the table than those they are given a state for. A
+    # class says so itself; on a GPU, its episodes are kernels unless it overrides `observe` or `flush`.
     reads_one_row: ClassVar[bool] = False
 
     discount: Float[Array, ""]

@@ -133,6 +133,15 @@ class OwnOfOneRow(EpsilonGreedy):
     reads_one_row: ClassVar[bool] = True
 
 
+class OwnUpdate(EpsilonGreedy):
+    """A user's learner with another update."""
+
+    reads_one_row: ClassVar[bool] = True
+
+    def observe(self, key, state, transition, exploration, step_in_block):
+        return state
+
+
 def test_what_is_a_kernel(monkeypatch):
     def is_kernel(run):
         carry = jax.eval_shape(run.init, jax.random.key(0))
@@ -152,6 +161,7 @@ def test_what_is_a_kernel(monkeypatch):
     monkeypatch.setattr(tabular_kernel, "kernels_run_here", lambda: True)
     assert is_kernel(run)
     assert is_kernel(eqx.tree_at(lambda r: r.learner, run, OwnOfOneRow(**vars(run.learner))))
+    assert not is_kernel(eqx.tree_at(lambda r: r.learner, run, OwnUpdate(**vars(run.learner))))
     additive = run_of(learner="additive")
     assert not is_kernel(eqx.tree_at(lambda r: r.learner, additive, Own(**vars(additive.learner))))
     assert not is_kernel(run_of(action_repeat=2))
