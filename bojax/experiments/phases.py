@@ -121,13 +121,13 @@ class Phase(eqx.Module):
             after = replace(after, repeated=choice)
         if not self.learns:
             return after
-        transition, exploration, row = self.lesson(episode, choice, time_step, counts)
+        transition, exploration, row = self.experience(episode, choice, time_step, counts)
         step_in_block = step % self.learner.block
         learner = self.learner.observe(key, episode.learner, transition, exploration, step_in_block)
         rows = write_row(episode.rows, step, row)
         return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
 
-    def lesson(
+    def experience(
         self, episode: EpisodeState, choice: Choice, time_step: TimeStep, counts: Bool[Array, ""]
     ) -> tuple[Transition, ExplorationState, Float[Array, "R"]]:
         """What the learner learns from a step, if it counts, and the row of the step."""

@@ -78,7 +78,7 @@ class _Elements:
         ]
         return jax.tree.unflatten(self._structure, leaves)
 
-    def opened(self, elements: Sequence[Array]) -> list[Array]:
+    def typed(self, elements: Sequence[Array]) -> list[Array]:
         """The elements with their own types."""
         dtypes = (x.dtype for x, size in zip(self._leaves, self._sizes, strict=True) for _ in range(size))
         return [x != 0 if dtype == jnp.bool_ else x for x, dtype in zip(elements, dtypes, strict=True)]
@@ -125,7 +125,7 @@ class _EpisodeKernel:
 
         def kernel(*refs: Any) -> None:
             inputs, outputs = refs[: first + len(arrays)], refs[first + len(arrays) :]
-            values = self._given.opened(_read(inputs[: len(given)]))
+            values = self._given.typed(_read(inputs[: len(given)]))
             memory = outputs[first_result:] if self._learns else inputs[first:]
             last = self._steps(values, _read(inputs[len(given) : first]), *memory)
             for ref in outputs[:first_result]:
@@ -150,18 +150,18 @@ class _EpisodeKernel:
             state = state_of(elements[places.observation])
             known = [
                 *given,
-                *self._own.opened(elements),
+                *self._own.typed(elements),
                 step,
                 *(table[state, a, c] for a, c in self._entries),
             ]
             inputs = self._program.inputs
             values = dict(zip(inputs, known, strict=False))
-            after_observation, action = self._program.some(slice(0, 2), values)
+            after_observation, action = self._program.evaluate(slice(0, 2), values)
             if self._learns:
                 after = state_of(after_observation)
                 next_row = [table[after, a, c] for a, c in self._entries]
                 values |= dict(zip(inputs[len(known) :], next_row, strict=True))
-            found = self._program.some(slice(2, None), values)
+            found = self._program.evaluate(slice(2, None), values)
             elements, learned = found[: len(elements)], found[len(elements) :]
             if self._learns:
                 barrier()  # until all threads have read the entry
@@ -221,7 +221,7 @@ def _step(
     found = time_step.observation, action, after
     if next_row is None:
         return found
-    transition, exploration, packed = phase.lesson(own, choice, time_step, counts)
+    transition, exploration, packed = phase.experience(own, choice, time_step, counts)
     change = phase.learner.change(to_learn, transition, exploration, row, next_row)
     is_state = (own.observation >= 0) & (own.observation < phase.env.observation_space.num)
     is_pair = is_state & (action == choice.action)

@@ -16,12 +16,17 @@ _NUM_ROUNDS = 13
 _PARITY = 0x1BD11BDA
 
 
-def _threefry(key: UInt32[Array, "2"], x0: UInt32[Array, "*S"], x1: UInt32[Array, "*S"]):
-    """Two words for each counter `(x0, x1)`."""
+def threefry(
+    key: UInt32[Array, "2"],
+    x0: UInt32[Array, "*S"],
+    x1: UInt32[Array, "*S"],
+    num_rounds: int = _NUM_ROUNDS,
+) -> tuple[UInt32[Array, "*S"], UInt32[Array, "*S"]]:
+    """Two words for each counter `(x0, x1)`; `jax.random` has 20 rounds."""
     k0, k1 = key[0], key[1]
     schedule = (k0, k1, k0 ^ k1 ^ jnp.uint32(_PARITY))
     x0, x1 = x0 + k0, x1 + k1
-    for i in range(_NUM_ROUNDS):
+    for i in range(num_rounds):
         rotation = _ROTATIONS[i % 8]
         x0 = x0 + x1
         x1 = ((x1 << jnp.uint32(rotation)) | (x1 >> jnp.uint32(32 - rotation))) ^ x0
@@ -42,7 +47,7 @@ def _counters(shape: tuple[int, ...]) -> UInt32[Array, "*S"]:
 
 def _split(key: UInt32[Array, "2"], shape: tuple[int, ...]) -> UInt32[Array, "*S 2"]:
     counters = _counters(shape)
-    return _joined(*_threefry(key, jnp.zeros_like(counters), counters))
+    return _joined(*threefry(key, jnp.zeros_like(counters), counters))
 
 
 def _joined(x0: UInt32[Array, "*S"], x1: UInt32[Array, "*S"]) -> UInt32[Array, "*S 2"]:
@@ -53,12 +58,12 @@ def _joined(x0: UInt32[Array, "*S"], x1: UInt32[Array, "*S"]) -> UInt32[Array, "
 
 def _fold_in(key: UInt32[Array, "2"], data: Array) -> UInt32[Array, "2"]:
     counter = data.astype(jnp.uint32)
-    return _joined(*_threefry(key, jnp.zeros_like(counter), counter))
+    return _joined(*threefry(key, jnp.zeros_like(counter), counter))
 
 
 def _random_bits(key: UInt32[Array, "2"], bit_width: int, shape: tuple[int, ...]) -> Array:
     counters = _counters(shape)
-    x0, x1 = _threefry(key, jnp.zeros_like(counters), counters)
+    x0, x1 = threefry(key, jnp.zeros_like(counters), counters)
     if bit_width == 64:
         return (x0.astype(jnp.uint64) << jnp.uint64(32)) | x1.astype(jnp.uint64)
     return x0.astype(jnp.dtype(f"uint{bit_width}"))

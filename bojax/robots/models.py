@@ -69,7 +69,7 @@ def from_file(path: str | Path) -> RobotModel:
         raise ValueError(f"{path}: {reason or one_line(error)}") from error
 
 
-def content_of(model: MjModel) -> bytes:
+def serialised(model: MjModel) -> bytes:
     """A compiled model as MuJoCo saves it: everything that it was made of, meshes and included files too."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)

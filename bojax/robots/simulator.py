@@ -27,7 +27,7 @@ from bojax.robots.kernel import scalar_kernel
 from bojax.robots.kernel.scalar_kernel import ScalarKernel
 from bojax.robots.kernel.scalars import NotScalar
 from bojax.robots.kernel.small_factors import small_factors
-from bojax.robots.models import MjModel, RobotModel, content_of, mujoco
+from bojax.robots.models import MjModel, RobotModel, mujoco, serialised
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
 from bojax.text import one_line
 
@@ -197,7 +197,7 @@ class Simulated(eqx.Module):
         model = self.simulator.model
         if model.path is None:
             return {}
-        content = content_of(model.spec().compile())  # anew: files that the model reads may have changed
+        content = serialised(model.spec().compile())  # anew: files that the model reads may have changed
         return {Path(model.path).name: hashlib.sha256(content).hexdigest()}
 
     @property
@@ -233,7 +233,7 @@ def _can_be_a_kernel(configured: ConfiguredModel, substeps: int) -> bool:
 
     MJX has to be traced to find out, which takes seconds: the answer is kept on the disk.
     """
-    parts = content_of(_compiled(configured)), substeps, scalar_kernel.MOST_SCALARS, _what_decides()
+    parts = serialised(_compiled(configured)), substeps, scalar_kernel.MOST_SCALARS, _what_decides()
     name = hashlib.sha256(repr(parts).encode()).hexdigest()
     kept = disk_cache.read(name, KERNELS)
     if kept is None:

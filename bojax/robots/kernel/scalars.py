@@ -25,6 +25,8 @@ from jax import lax
 from jax.extend.random import threefry_prng_impl
 from jax.lax import GatherScatterMode
 
+from bojax.numerics.simulation_keys import threefry
+
 
 class NotScalar(Exception):
     """A function has an unsupported operation, or indexes an array by computed numbers."""
@@ -77,9 +79,9 @@ class ScalarProgram:
 
     def __call__(self, values: Sequence[jax.Array]) -> list[jax.Array]:
         """The values of the outputs, given those of the inputs."""
-        return self.some(slice(None), dict(zip(self.inputs, values, strict=True)))
+        return self.evaluate(slice(None), dict(zip(self.inputs, values, strict=True)))
 
-    def some(self, outputs: slice, values: dict[Scalar, Any]) -> list[jax.Array]:
+    def evaluate(self, outputs: slice, values: dict[Scalar, Any]) -> list[jax.Array]:
         """The values of some outputs, given those of the inputs that they depend on.
 
         The scalars between them get values, too: other outputs are computed from these later.
@@ -147,11 +149,6 @@ _OF_FUNCTIONS = "scan", "while", "cond", "reduce", "reduce_window", "pallas_call
 
 _OF_KEYS = "random_wrap", "random_unwrap", "random_fold_in", "random_bits"
 """Operations on keys that have a rule."""
-
-
-_PARITY = 0x1BD11BDA
-_ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
-"""The constants of Threefry-2x32 (Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011)."""
 
 
 class _Tracing:
@@ -381,24 +378,11 @@ class _Tracing:
         return self.evaluate(traced.jaxpr, traced.consts, [key, *rest])
 
     def _threefry2x32(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
-        def by(name: str, x: np.ndarray, y: Any) -> np.ndarray:
-            return self.elementwise(
-                name, [x, np.asarray(y, None if isinstance(y, np.ndarray) else np.uint32)], np.uint32
-            )
+        def words(k0: jax.Array, k1: jax.Array, x0: jax.Array, x1: jax.Array) -> Any:
+            return threefry(jnp.stack([k0, k1]), x0, x1, num_rounds=20)
 
-        k0, k1, x0, x1 = arrays
-        keys = k0, k1, by("xor", by("xor", k0, k1), _PARITY)
-        x0, x1 = by("add", x0, k0), by("add", x1, k1)
-        for i in range(5):
-            for rotation in _ROTATIONS[i % 2]:
-                x0 = by("add", x0, x1)
-                turned = by(
-                    "or", by("shift_left", x1, rotation), by("shift_right_logical", x1, 32 - rotation)
-                )
-                x1 = by("xor", turned, x0)
-            x0 = by("add", x0, keys[(i + 1) % 3])
-            x1 = by("add", by("add", x1, keys[(i + 2) % 3]), i + 1)
-        return [x0, x1]
+        traced = jax.make_jaxpr(words)(*(v.aval for v in eqn.invars))
+        return self.evaluate(traced.jaxpr, traced.consts, arrays)
 
     def _split(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
         return np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
