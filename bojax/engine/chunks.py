@@ -32,12 +32,10 @@ REPACKINGS = 100
 """Number of repackings of a run that lasts for all its advances. A repacking waits for the device, so this
 bounds the time lost to them: about 0.2 ms each."""
 
-NARROWING, NARROWEST = 3, 32
-"""Factor between two numbers of lanes of a queue, and the lower bound of these numbers.
+NARROWING = 3
+"""Factor between two numbers of lanes of a queue.
 
-On an H200 an advance of EMU-Q has a fixed cost, as large as the cost of about 100 lanes, so that fewer than
-`NARROWEST` lanes save little. A smaller factor keeps more of the lanes busy, but each number of lanes is a
-program to compile.
+A smaller factor keeps more of the lanes busy, but each number of lanes is a program to compile.
 """
 
 
@@ -87,9 +85,10 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
         rounds = math.ceil(num_runs / limit)
         widths = [math.ceil(num_runs / rounds)]
         queue = widths[0] * math.ceil(rounds / num_queues)
-    can_narrow = not is_cpu and experiment.has_stragglers and experiment.max_advances > 1
-    while can_narrow and widths[-1] >= NARROWING * NARROWEST:
-        widths.append(math.ceil(widths[-1] / NARROWING))
+    narrowest = experiment.narrowest
+    if narrowest is not None and not is_cpu and experiment.max_advances > 1:
+        while widths[-1] >= NARROWING * narrowest:
+            widths.append(math.ceil(widths[-1] / NARROWING))
     return Layout(queue, tuple(widths), math.ceil(experiment.max_advances / REPACKINGS))
 
 

@@ -62,9 +62,12 @@ class Experiment(eqx.Module):
         return LANES_ON_GPU
 
     @property
-    def has_stragglers(self) -> bool:
-        """Whether a few runs may take many more advances than the others."""
-        return False
+    def narrowest(self) -> int | None:
+        """Least number of lanes of an accelerator to which the last runs of a chunk move.
+
+        None if all runs take about as many advances.
+        """
+        return None
 
     @property
     @abc.abstractmethod

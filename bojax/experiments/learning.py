@@ -182,8 +182,8 @@ class LearningRun(Experiment):
 
     @property
     @override
-    def has_stragglers(self) -> bool:
-        return self.stop != "never"
+    def narrowest(self) -> int | None:
+        return None if self.stop == "never" else self.learner.narrowest
 
     @property
     @override

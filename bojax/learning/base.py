@@ -80,9 +80,13 @@ class Learner(eqx.Module):
     Attributes:
         block: Number of steps between two calls of `flush`.
         lanes_on_cpu: Largest number of lanes per CPU device at which a batch is still fast.
+        narrowest: Least number of lanes of a GPU to which the last runs of a chunk move. With fewer, an
+            episode hardly takes less time, and each number of lanes is a program to compile.
     """
 
     lanes_on_cpu: ClassVar[int] = 64
+    # An episode of EMU-Q on an H200 has a fixed cost, as large as the cost of about 100 lanes.
+    narrowest: ClassVar[int] = 32
 
     block: eqx.AbstractVar[int]
 

@@ -1,6 +1,7 @@
 """DORA: exploration by E-values, generalised visit counters (Fox, Choshen and Loewenstein, ICLR 2018)."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -47,6 +48,9 @@ class DORA(Learner):
 
     Settings: `bojax.learning.settings.DORA`.
     """
+
+    # Four chunks of 200 lanes at once take 1.3 times as long on an H200 as one: a step is many small kernels.
+    narrowest: ClassVar[int] = 400
 
     discount: Float[Array, ""]
     e_discount: Float[Array, ""]

@@ -263,7 +263,7 @@ def test_layout(platform, runs, given, queue, widths):
 
 
 def test_runs_with_stragglers_narrow_on_an_accelerator(monkeypatch):
-    monkeypatch.setattr(Toy, "has_stragglers", True)
+    monkeypatch.setattr(Toy, "narrowest", 32)
     assert choose_layout(toy(), 4000, "gpu", None).widths == (4000, 1334, 445, 149, 50)
     assert choose_layout(toy(), 600, "gpu", None).widths == (600, 200, 67)
     assert choose_layout(toy(), 200, "gpu", None).widths == (200, 67)
@@ -271,6 +271,9 @@ def test_runs_with_stragglers_narrow_on_an_accelerator(monkeypatch):
     assert choose_layout(toy(), 4000, "cpu", None).widths == (16,)
     assert choose_layout(toy(max_length=2), 4000, "gpu", None).widths == (4000,)  # all end together
     assert choose_layout(toy(max_length=1001), 8, "gpu", None).repack == 6  # of 501
+    monkeypatch.setattr(Toy, "narrowest", 400)
+    assert choose_layout(toy(), 1200, "gpu", None).widths == (1200, 400)
+    assert choose_layout(toy(), 600, "gpu", None).widths == (600,)
 
 
 def test_memory_limits_the_lanes_of_a_gpu(monkeypatch):
