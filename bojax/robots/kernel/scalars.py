@@ -268,6 +268,12 @@ class _Tracing:
 
     # ---- operations that are not elementwise
 
+    def _call_hi_primitive(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
+        # JAX 0.12 has a few functions, as `nonzero`, that it expands only when a program is lowered.
+        prim = eqn.params["_prim"]
+        expanded = jax.make_jaxpr(prim.expand)(*prim.in_avals)
+        return self.evaluate(expanded.jaxpr, expanded.consts, arrays)
+
     def _clamp(self, eqn: Any, low: Any, x: Any, high: Any) -> np.ndarray:
         dtype = eqn.outvars[0].aval.dtype
         return self.elementwise("min", [self.elementwise("max", [x, low], dtype), high], dtype)
