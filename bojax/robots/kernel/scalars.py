@@ -294,7 +294,7 @@ class _Tracing:
         def known(x: Any) -> Any:
             # JAX takes the nearest integer for a float that is out of range, and 0 for NaN; NumPy any number.
             is_cut = np.issubdtype(x.dtype, np.floating) and np.issubdtype(new, np.integer)
-            return np.asarray(convert(x)) if is_cut else x.astype(new)
+            return np.asarray(convert(jnp.asarray(x))) if is_cut else x.astype(new)
 
         def one(e: Any) -> Any:
             if not isinstance(e, Scalar):
