@@ -18,10 +18,19 @@ _is_elsewhere: ContextVar[bool] = ContextVar("is_elsewhere", default=False)
 
 
 def kernels_run_here() -> bool:
-    """Whether the device is an NVIDIA GPU for which Pallas has kernels: of compute capability 8.0 or more."""
+    """Whether the device is an NVIDIA GPU for which Pallas has kernels: of compute capability 8.0 or more.
+
+    A later version of JAX may have no Triton, which is deprecated in 0.11: programs of XLA replace kernels.
+    """
     capability = getattr(jax.devices()[0], "compute_capability", "")
     version = re.fullmatch(r"(\d+)\.\d+", capability)
-    return version is not None and int(version[1]) >= 8
+    if version is None or int(version[1]) < 8:
+        return False
+    try:
+        imported()
+    except ImportError:
+        return False
+    return True
 
 
 @contextlib.contextmanager

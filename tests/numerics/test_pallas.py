@@ -1,5 +1,6 @@
 """Where kernels of Pallas run; `tests/models/test_lookahead_kernels.py` tests kernels."""
 
+import sys
 import types
 
 import jax
@@ -22,6 +23,12 @@ from bojax.numerics.pallas import either, kernels_run_here
 def test_kernels_run_on_recent_nvidia_gpus(device, expected, monkeypatch):
     monkeypatch.setattr(jax, "devices", lambda: [types.SimpleNamespace(**device)])
     assert kernels_run_here() is expected
+
+
+def test_a_jax_without_triton_has_no_kernels(monkeypatch):
+    monkeypatch.setattr(jax, "devices", lambda: [types.SimpleNamespace(compute_capability="9.0")])
+    monkeypatch.setitem(sys.modules, "jax.experimental.pallas.triton", None)
+    assert not kernels_run_here()
 
 
 @pytest.mark.parametrize("is_kernel", [True, False])
