@@ -37,6 +37,17 @@ def quick_flags() -> list[str]:
     return flags
 
 
+@contextlib.contextmanager
+def as_for_a_gpu(monkeypatch):
+    """Context in which programs are traced and lowered for a GPU: Triton asks for its kind."""
+    import jax
+
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    gpu = jax.sharding.AbstractDevice(device_kind="NVIDIA H200", num_cores=132, platform="gpu")
+    with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), (), abstract_device=gpu)):
+        yield
+
+
 _PROGRAMS_PER_CONTEXT = 200
 """A context keeps every constant and type that its programs name, until it is dropped."""
 

@@ -16,6 +16,7 @@ pytest.importorskip("Box2D")
 
 from gymnasium.envs.box2d.lunar_lander import heuristic  # noqa: E402
 
+from tests.compiling import as_for_a_gpu  # noqa: E402
 from tests.reference.lunar_lander import GymLander, rotation  # noqa: E402
 from tests.tiers import by_tier
 
@@ -407,6 +408,6 @@ def test_contacts_as_a_kernel_are_those_of_xla(dtype, monkeypatch):
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, atol=tolerance, rtol=tolerance)
 
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")  # Triton's program is made on any machine
-    traced = jax.jit(jax.vmap(jax.vmap(lambda state: step(state)))).trace(states)
-    assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()
+    with as_for_a_gpu(monkeypatch):  # Triton's program is made on any machine
+        traced = jax.jit(jax.vmap(jax.vmap(lambda state: step(state)))).trace(states)
+        assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()

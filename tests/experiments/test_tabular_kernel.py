@@ -17,7 +17,7 @@ from bojax.experiments.settings import Learning
 from bojax.experiments.tabular_kernel import kernel_of
 from bojax.learning.tabular import AdditiveRewards, EpsilonGreedy
 from bojax.numerics.lanes import LANES
-from tests.compiling import REPEATABLY
+from tests.compiling import REPEATABLY, as_for_a_gpu
 
 CLIFF = {"kind": "cliff-walking", "slip": 0.2, "max_steps": 40}
 TAXI = {"kind": "taxi", "max_steps": 40}
@@ -203,10 +203,10 @@ def test_a_gpu_gets_the_kernel_and_a_cpu_the_loop(monkeypatch, env):
     run = eqx.tree_at(lambda r: r.env, run, env(**vars(run.env)))
     carry = jax.eval_shape(jax.vmap(run.init), jax.random.split(jax.random.key(0), 2))
     monkeypatch.setattr(tabular_kernel, "kernels_run_here", lambda: True)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    traced = jax.jit(jax.vmap(run.advance, axis_name=LANES)).trace(carry)
-    for platform, is_kernel in (("cuda", True), ("cpu", False)):
-        assert ("triton" in traced.lower(lowering_platforms=(platform,)).as_text()) == is_kernel
+    with as_for_a_gpu(monkeypatch):
+        traced = jax.jit(jax.vmap(run.advance, axis_name=LANES)).trace(carry)
+        for platform, is_kernel in (("cuda", True), ("cpu", False)):
+            assert ("triton" in traced.lower(lowering_platforms=(platform,)).as_text()) == is_kernel
 
 
 @pytest.mark.parametrize(("env", "tests_learn"), [(Known, "no"), (Known, "exploiting"), (Rich, "no")])

@@ -9,6 +9,7 @@ from bojax.models import lookahead, lookahead_kernels
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52
 from bojax.models.lookahead import LookaheadRoot, look_ahead
+from tests.compiling import as_for_a_gpu
 
 NUM_STAGES, SIZE, NUM_ROWS = 3, 2, 70
 NUM_POINTS = NUM_STAGES * SIZE
@@ -30,6 +31,26 @@ def test_products_with_the_factor_are_those_of_numpy(factors):
     np.testing.assert_allclose(whitened, factors @ right, rtol=0, atol=1e-12)
     rows = jax.jit(jax.vmap(lookahead_kernels.explained_away))(left, factors, COUNTS)
     np.testing.assert_allclose(rows, left @ factors, rtol=0, atol=1e-12)
+
+
+def test_kernels_are_lowered_for_a_gpu(factors, monkeypatch):
+    """Triton's programs are made on any machine, and compiled on a GPU."""
+    right, left = np.ones((len(COUNTS), NUM_ROWS, 5)), np.ones((len(COUNTS), 3, NUM_ROWS))
+    joint, least = np.ones((4, NUM_POINTS, NUM_POINTS)), np.ones((4, NUM_POINTS))
+
+    def all_of_them(factors, right, left, counts, joint, least):
+        conditioned = jax.vmap(lambda *args: lookahead_kernels.conditioned(*args, NUM_STAGES, True))
+        return (
+            jax.vmap(lookahead_kernels.whitened)(factors, right, counts),
+            jax.vmap(lookahead_kernels.explained_away)(left, factors, counts),
+            conditioned(joint, least, least[:, :-SIZE]),
+        )
+
+    with as_for_a_gpu(monkeypatch):
+        traced = jax.jit(all_of_them).trace(factors, right, left, COUNTS, joint, least)
+        text = traced.lower(lowering_platforms=("cuda",)).as_text()
+    for name in ("whitened", "explained_away", "conditioned"):
+        assert f'"{name}"' in text
 
 
 @pytest.mark.parametrize("with_weights", [True, False])

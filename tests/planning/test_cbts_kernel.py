@@ -16,6 +16,7 @@ from bojax.planning.settings import KCBTS
 from bojax.planning.tree import ROOT, UNVISITED
 from bojax.problems.parking import Parking
 from tests.arrays import f64
+from tests.compiling import as_for_a_gpu
 from tests.planning.samples import POSES, kcbts, monitoring, parking
 from tests.planning.test_reference import EASY
 from tests.tiers import by_tier
@@ -96,6 +97,19 @@ def test_trees_are_those_of_xla(name, kernels):
         ]
         for have, wanted in pairs:
             np.testing.assert_allclose(have[nodes], wanted[nodes], rtol=ERROR, atol=ERROR, err_msg=f"{lane}")
+
+
+def test_the_kernel_is_lowered_for_a_gpu(kernels, monkeypatch):
+    """Triton's program is made on any machine, and compiled on a GPU."""
+    kernels()
+
+    def search(key, pose):
+        return kcbts(iterations=40).search(key, parking(), pose)
+
+    keys = jax.random.split(jax.random.key(0), 2)
+    with as_for_a_gpu(monkeypatch):
+        traced = jax.jit(jax.vmap(search, axis_name=LANES)).trace(keys, jnp.zeros((2, 3)))
+        assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()
 
 
 def test_the_lanes_differ_in_what_a_kernel_may_get_wrong():

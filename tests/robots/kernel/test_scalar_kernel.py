@@ -23,6 +23,7 @@ from bojax.robots.simulator import (
     _kernel_steps,
     _steps_of,
 )
+from tests.compiling import as_for_a_gpu
 from tests.engine.test_program_cache import caching_in
 from tests.robots import test_simulator
 from tests.tiers import by_tier
@@ -153,8 +154,8 @@ def test_a_kernel_needs_a_gpu(monkeypatch):
 
 def test_kernels_are_lowered_for_a_gpu(monkeypatch):
     """Triton's program is made on any machine, and compiled on a GPU."""
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     qpos, qvel, control = (jax.ShapeDtypeStruct((LANES, size), np.float32) for size in (2, 2, 1))
     state = jax.eval_shape(jax.vmap(RobotState), qpos, qvel, qvel)
-    traced = jax.jit(jax.vmap(standard_jax(steps("pendulum")))).trace(state, control)
-    assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()
+    with as_for_a_gpu(monkeypatch):
+        traced = jax.jit(jax.vmap(standard_jax(steps("pendulum")))).trace(state, control)
+        assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()
