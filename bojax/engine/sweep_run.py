@@ -26,6 +26,15 @@ from bojax.results.folder import RunFolder
 from bojax.results.merge import RUNS, ChunkInfo, Merged, PointInfo, committed_files, merge
 from bojax.results.store import MANIFEST, write_json
 
+WARNINGS = {
+    "nans": "NaN",
+    "ignored_samples": "samples left out",
+    "collapses": "an observation that no particle of the belief explained",
+    "outside_actions": "an action outside of the space of actions",
+    "sampled_gradient": "no sample, or only where the field is flat (are paths longer than the domain?)",
+}
+"""What is wrong with runs that have a notable value in a column."""
+
 
 class SweepRun:
     """A sweep in its results folder, from its first file to its last."""
@@ -103,19 +112,9 @@ class SweepRun:
             finish: Called with the results folder of a finished sweep.
         """
         merged = self._merge()
-        warnings = (
-            (len(merged.nans), "NaN", "nans"),
-            (merged.num_ignoring, "samples left out", "ignored_samples"),
-            (merged.num_collapsed, "an observation that no particle of the belief explained", "collapses"),
-            (
-                merged.num_unsampled,
-                "no sample, or only where the field is flat (are paths longer than the domain?)",
-                "sampled_gradient",
-            ),
-        )
-        for number, what, column in warnings:
+        for column, number in {"nans": len(merged.nans), **merged.notable}.items():
             if number:
-                runs = "run" if number == 1 else "runs"
+                runs, what = "run" if number == 1 else "runs", WARNINGS[column]
                 say(f"warning: {number} {runs} with {what}: see column {column} of runs.parquet")
         print(self.path)
         if merged.errors:

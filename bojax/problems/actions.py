@@ -84,7 +84,10 @@ class Box(ActionSpace):
 
     @override
     def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:
-        return jnp.all((self.low <= action) & (action <= self.high) & jnp.isfinite(action))
+        # The rounding of `decode`: at a bound, it may exceed it.
+        slack = 4.0 * jnp.finfo(self.low.dtype).eps * jnp.maximum(jnp.abs(self.low), jnp.abs(self.high))
+        is_inside = (self.low - slack <= action) & (action <= self.high + slack)
+        return jnp.all(is_inside & jnp.isfinite(action))
 
     @override
     def coordinates(self, parameters: Float[Array, "K"]) -> Float[Array, "C"]:

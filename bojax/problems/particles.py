@@ -20,6 +20,8 @@ class Particles(eqx.Module):
     terminal: Bool[Array, "M"]  # whether a state is terminal
     # How often no particle explained an observation; None if it is not counted
     collapses: Int[Array, ""] | None = None
+    # How often an action was outside of the space; None if it is not counted
+    outside: Int[Array, ""] | None = None
 
     @property
     def mean(self) -> Float[Array, "D"]:

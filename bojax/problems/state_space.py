@@ -30,6 +30,8 @@ from bojax.results.schema import Column, Table
 NUM_DRAWN = 64
 """Number of states of a belief that are recorded for pictures and films."""
 
+OUTSIDE = Column("outside_actions", "int32", "", "steps whose action is outside of the space of actions")
+
 COLLAPSES = Column("collapses", "int32", "", "times that no particle of the belief explained the observation")
 
 OVERRIDABLE = (
@@ -116,7 +118,8 @@ class StateProblem(StateModel, Problem):
     def prior(self, key: Key[Array, ""], world: Float[Array, "D"], num_samples: int) -> Particles:
         """Draws from the initial belief, which do not depend on the world."""
         drawn = particles.initial(self, key, self.num_particles)
-        return replace(drawn, collapses=jnp.zeros((), jnp.int32))
+        zero = jnp.zeros((), jnp.int32)
+        return replace(drawn, collapses=zero, outside=zero)
 
     @override
     def execute(
@@ -135,11 +138,15 @@ class StateProblem(StateModel, Problem):
         observation: Observed,
         key: Key[Array, ""] | None = None,
     ) -> Particles:
-        assert key is not None and belief.collapses is not None
+        assert key is not None and belief.collapses is not None and belief.outside is not None
         after, collapsed = self.filter(key, belief, action, observation.values)
         # No particle need explain the last observation of an episode.
         counts = collapsed & ~observation.terminated
-        return replace(after, collapses=belief.collapses + counts.astype(jnp.int32))
+        return replace(
+            after,
+            collapses=belief.collapses + counts.astype(jnp.int32),
+            outside=belief.outside + (~self.actions.contains(action)).astype(jnp.int32),
+        )
 
     @property
     @override
@@ -149,7 +156,7 @@ class StateProblem(StateModel, Problem):
     @property
     @override
     def run_columns(self) -> Table:
-        return (RETURN, DISCOUNTED_RETURN, STEPS, COLLAPSES)
+        return (RETURN, DISCOUNTED_RETURN, STEPS, COLLAPSES, OUTSIDE)
 
     @property
     @override
@@ -213,5 +220,5 @@ class StateProblem(StateModel, Problem):
 
     @override
     def summary(self, record: Sketch, world: Float[Array, "D"], belief: Particles) -> dict[str, Scalar]:
-        assert belief.collapses is not None
-        return {"collapses": belief.collapses}
+        assert belief.collapses is not None and belief.outside is not None
+        return {COLLAPSES.name: belief.collapses, OUTSIDE.name: belief.outside}

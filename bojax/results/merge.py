@@ -52,6 +52,15 @@ class ChunkInfo:
     point: int
 
 
+NOTABLE: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "ignored_samples": lambda number: number > 0,
+    "collapses": lambda number: number > 0,
+    "outside_actions": lambda number: number > 0,
+    "sampled_gradient": lambda slope: slope == 0.0,
+}
+"""Columns of runs that are counted where they have such a value."""
+
+
 @dataclass(frozen=True)
 class Merged:
     """What merging has found."""
@@ -59,9 +68,7 @@ class Merged:
     files: Mapping[int, ChunkFolder]  # the committed files of each chunk that has any, by index of the chunk
     errors: Mapping[int, str]  # why chunks have failed, by index
     nans: Mapping[tuple[int, int], int]  # number of NaNs of each (point, run) that has any
-    num_ignoring: int  # number of runs whose belief left out samples
-    num_collapsed: int  # number of runs whose belief has collapsed
-    num_unsampled: int  # number of runs on fields without a sample where the field has a slope
+    notable: Mapping[str, int]  # number of runs with a value in `NOTABLE`, by column
     sha256: Mapping[str, str]  # SHA-256 of the tables and of the snapshots, by path in the results folder
 
 
@@ -105,9 +112,7 @@ def merge(
             if chunk.name in attempts.failed and chunk.name not in attempts.done
         },
         nans=nans,
-        num_ignoring=_num_runs(folder, "ignored_samples", lambda values: values > 0),
-        num_collapsed=_num_runs(folder, "collapses", lambda values: values > 0),
-        num_unsampled=_num_runs(folder, "sampled_gradient", lambda values: values == 0.0),
+        notable={column: _num_runs(folder, column, is_notable) for column, is_notable in NOTABLE.items()},
         sha256=_checksums(folder, [*pieces, TIMINGS], done),
     )
 

@@ -190,6 +190,18 @@ def test_an_episode_sums_and_counts(last, steps, collapsed):
     assert (found["steps"], found["collapses"]) == (steps, collapsed)
 
 
+@pytest.mark.parametrize(("largest", "outside"), [(1.0, 0), (1.5, 2)])
+def test_actions_outside_of_the_space_are_counted(largest, outside):
+    """Those of later steps: a policy whose first action is outside is refused."""
+
+    def growing(problem, key, belief):
+        return jnp.where(belief.mean >= 2.0, largest, 1.0)  # in states 2.0 and 3.5
+
+    run = PlanningEpisode(Counter(num_particles=8, last=jnp.asarray(5.0)), PolicyPlanner(growing))
+    found = summaries(run, jax.random.split(jax.random.key(0), 1))
+    assert found["outside_actions"][0] == outside
+
+
 def test_the_table_of_steps_has_actions_observations_and_states():
     run = PlanningEpisode(Pair(num_particles=8), PolicyPlanner(always))
     _, rows = advanced(run, lanes=1)

@@ -148,12 +148,17 @@ def test_swept_values_keep_their_type(tmp_path, values, kind):
 
 
 def test_runs_that_deserve_a_warning_are_counted(tmp_path):
-    counted = {"ignored_samples": [0, 3, 1], "collapses": [2, 1, 1], "sampled_gradient": [0.0, 0.3, np.nan]}
-    for name, columns, expected in (("without", {}, (0, 0, 0)), ("with", counted, (2, 3, 1))):
+    counted = {
+        "ignored_samples": [0, 3, 1],
+        "collapses": [2, 1, 1],
+        "outside_actions": [0, 0, 0],
+        "sampled_gradient": [0.0, 0.3, np.nan],
+    }
+    for name, columns, expected in (("without", {}, [0, 0, 0, 0]), ("with", counted, [2, 3, 0, 1])):
         runs = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32), **columns}
         done(attempt(tmp_path / name), pa.table(runs), table="runs")
         merged = merge(tmp_path / name, CHUNKS, ["runs"], POINTS, seed=0)
-        assert (merged.num_ignoring, merged.num_collapsed, merged.num_unsampled) == expected
+        assert merged.notable == dict(zip(counted, expected, strict=True))
 
 
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
