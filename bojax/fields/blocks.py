@@ -19,15 +19,6 @@ class Blocks(Field):
     heights: Float[Array, "K"]
 
     @override
-    def __check_init__(self):
-        """Check that there are as many heights as boxes, or raise ValueError."""
-        if self.boxes.shape[0] != self.heights.shape[0]:
-            raise ValueError(
-                f"boxes, heights: got {self.boxes.shape[0]} and {self.heights.shape[0]} entries; "
-                "allowed: the same number of each"
-            )
-
-    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
         is_on = self.covers(x)
         return jnp.max(jnp.where(is_on, self.heights, 0.0), initial=0.0)

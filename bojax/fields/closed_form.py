@@ -20,15 +20,6 @@ class Bumps(Field):
     widths: Float[Array, "K"]
 
     @override
-    def __check_init__(self):
-        """Check that there are as many heights as centres and widths, or raise ValueError."""
-        if not self.heights.shape[0] == self.centres.shape[0] == self.widths.shape[0]:
-            raise ValueError(
-                f"heights, centres, widths: got {self.heights.shape[0]}, {self.centres.shape[0]} and "
-                f"{self.widths.shape[0]} entries; allowed: the same number of each"
-            )
-
-    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
         squared = jnp.sum((x[None, :] - self.centres) ** 2, axis=-1)
         return jnp.sum(self.heights * jnp.exp(-0.5 * squared / self.widths**2))

@@ -53,11 +53,6 @@ def test_a_step_rises_along_its_direction_and_only_along_it():
     np.testing.assert_allclose(np.linalg.norm(slope, axis=-1), 2.0 / 0.4, atol=1e-10)
 
 
-def test_as_many_heights_as_centres():
-    with pytest.raises(ValueError, match="got 2, 1 and 1 entries"):
-        Bumps(f64([1.0, 2.0]), f64([[0.0, 0.0]]), f64([1.0]))
-
-
 def test_a_grid_is_interpolated_linearly_in_each_direction(grid):
     xs = points()
     x, y = np.linspace(-1.0, 3.0, 7), np.linspace(0.0, 2.0, 5)
