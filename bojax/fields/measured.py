@@ -12,14 +12,25 @@ from bojax.fields.base import Field
 from bojax.fields.raster_files import read_local_points, read_raster
 
 
-class GridField(Field):
-    """Bilinear interpolation of values on a regular grid, extended by the values on its border.
-
-    Settings: `bojax.fields.settings.Grid`.
-    """
+class _Table(Field):
+    """Bilinear interpolation of values on a regular grid, extended by the values on its border."""
 
     table: Float[Array, "H W"]  # values; the first axis is y, the second x, both increasing
     extent: Float[Array, "4"]
+
+    @override
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        low, high = self.extent[:2], self.extent[2:]
+        cells = jnp.asarray([self.table.shape[1] - 1, self.table.shape[0] - 1], x.dtype)
+        column, row = (x - low) / (high - low) * cells
+        return map_coordinates(self.table, [row, column], order=1, mode="nearest")
+
+
+class GridField(_Table):
+    """Values on a regular grid, from a file.
+
+    Settings: `bojax.fields.settings.Grid`.
+    """
 
     def __init__(
         self, file: str, extent: Float[Array, "4"], sha256: str | None = None, holes: str = "refuse"
@@ -36,21 +47,14 @@ class GridField(Field):
         self.table = jnp.asarray(values, extent.dtype)
         self.extent = extent
 
-    @override
-    def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        return _interpolate(self.table, self.extent, x)
 
-
-class ScatteredField(Field):
+class ScatteredField(_Table):
     """Measurements at scattered points: linear interpolation between them, the nearest one outside.
 
     The interpolation is evaluated once, on a grid over the extent.
 
     Settings: `bojax.fields.settings.Scattered`.
     """
-
-    table: Float[Array, "H W"]  # values on the grid; the first axis is y, from the lowest, the second x
-    extent: Float[Array, "4"]
 
     def __init__(
         self, file: str, extent: Float[Array, "4"], resolution: int = 101, sha256: str | None = None
@@ -66,13 +70,3 @@ class ScatteredField(Field):
             table = np.where(np.isfinite(table), table, nearest)
         self.table = jnp.asarray(table, extent.dtype)
         self.extent = extent
-
-    @override
-    def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        return _interpolate(self.table, self.extent, x)
-
-
-def _interpolate(table: Float[Array, "H W"], extent: Float[Array, "4"], x: Float[Array, "2"]) -> Scalar:
-    cells = jnp.asarray([table.shape[1] - 1, table.shape[0] - 1], x.dtype)
-    column, row = (x - extent[:2]) / (extent[2:] - extent[:2]) * cells
-    return map_coordinates(table, [row, column], order=1, mode="nearest")
