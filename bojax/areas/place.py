@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from bojax.areas import polygons
 from bojax.areas.area import Area, check_inside
 from bojax.areas.shapes import to_area, to_shape
-from bojax.fields.data import Points, split_choice
+from bojax.fields.data import Points, in_file, split_choice
 from bojax.fields.projection import TOLERANCE, Projection
 from bojax.fields.raster import Raster
 from bojax.fields.raster_files import SUFFIXES as RASTERS
@@ -118,15 +118,14 @@ class Place:
 
     def _read_shape(self, file: str) -> BaseGeometry:
         """The polygons in a file, or the cells with data of a raster, in the frame of the place."""
-        try:
+        with in_file(file):
             if Path(file).suffix.lower() in polygons.SUFFIXES:
                 read = polygons.read_polygons(file)
-                return _moved(read.shape, lambda points: self.projection.from_other(points, read.crs))
-            raster = read_raster(file, MOST_CELLS)
-            shape = _shape_of(raster, ~raster.is_hole)
-            return _moved(shape, lambda points: self.projection.from_other(points, raster.crs))
-        except ValueError as error:
-            raise ValueError(_after(file, error)) from error
+                shape, crs = read.shape, read.crs
+            else:
+                raster = read_raster(file, MOST_CELLS)
+                shape, crs = _around(raster.x, raster.y, ~raster.is_hole), raster.crs
+            return shapely.transform(shape, lambda points: self.projection.from_other(points, crs))
 
 
 def read_place(area: str, below: float | None = None, frame: Projection | None = None) -> Place:
@@ -148,7 +147,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         raise ValueError(f"area: got {area}; allowed: {allowed}{hint}")
     notes: list[str] = []
     raster = None
-    try:
+    with in_file(area):
         if suffix in polygons.SUFFIXES:
             if below is not None:
                 raise ValueError("has no values; allowed with --below: a raster")
@@ -162,10 +161,8 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
                 notes.append(f"{area}: only every {raster.step}th row and column is used.")
         x_min, y_min, x_max, y_max = shape.bounds
         projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max), area)
-        local = _moved(shape, lambda points: projection.from_other(points, crs))
+        local = shapely.transform(shape, lambda points: projection.from_other(points, crs))
         values = None if raster is None else values_of(area, raster, raster.crs, projection)
-    except ValueError as error:
-        raise ValueError(_after(area, error)) from error
     if projection.distortion > TOLERANCE:
         notes.append(
             f"{area}: is so large that distances from west to east are off by up to "
@@ -199,11 +196,6 @@ def read_outlined(
     return place
 
 
-def _after(file: str, error: ValueError) -> str:
-    message = str(error)
-    return message if message.startswith(split_choice(file)[0]) else f"{file}: {message}"
-
-
 def _metres(text: str, unit: str, name: str) -> float:
     try:
         value = float(text) * (1000.0 if unit == "km" else 1.0)
@@ -221,16 +213,12 @@ def _surveyed(raster: Raster, below: float | None) -> BaseGeometry:
         if not inside.any():
             low, high = np.nanmin(raster.values), np.nanmax(raster.values)
             raise ValueError(f"no cell is below {below:g}: the values are from {low:g} to {high:g}")
-    return _shape_of(raster, inside)
+    return _around(raster.x, raster.y, inside)
 
 
 def area_of_cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> Area:
     """The area around the cells `[y, x]` of a grid that are inside, half a cell beyond their centres."""
     return to_area(_around(x, y, inside))
-
-
-def _shape_of(raster: Raster, inside: np.ndarray) -> BaseGeometry:
-    return _around(raster.x, raster.y, inside)
 
 
 def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> BaseGeometry:
@@ -247,7 +235,3 @@ def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> BaseGeometry:
         found.append(shapely.Polygon(rings[0], rings[1:]))
     shape = shapely.make_valid(shapely.union_all(found))
     return shape.simplify(0.3 * min(x_step, y_step))
-
-
-def _moved(shape: BaseGeometry, map_points) -> BaseGeometry:
-    return shapely.transform(shape, map_points)

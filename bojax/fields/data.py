@@ -3,6 +3,8 @@
 import hashlib
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +25,23 @@ def split_choice(file: str) -> tuple[str, str]:
     """The name of the file in `FILE:CHOICE`, and what is chosen of its content, empty for nothing."""
     found = None if os.path.exists(file) else _WITH_CHOICE.fullmatch(file)
     return (found[1], found[2]) if found else (file, "")
+
+
+@contextmanager
+def in_file(file: str) -> Iterator[None]:
+    """Context of reading a file: an error becomes a ValueError of one line that begins with its name."""
+    path = split_choice(file)[0]
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
+        raise ValueError(f"{file}: is not a regular file")
+    try:
+        yield
+    except ImportError:
+        raise
+    except OSError as error:
+        raise ValueError(f"{file}: {error.strerror or one_line(error)}") from error
+    except Exception as error:  # a damaged file raises many types of exceptions
+        message = one_line(error)
+        raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +108,8 @@ def read_points(file: str) -> Points:
     names = [names[column] for column in columns] if names else []
     points = Points(table[has_data], names, int((~has_data).sum()))
     if points.crs == DEGREES:
-        try:
+        with in_file(path):
             points.check_degrees()
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
     return points
 
 
@@ -148,9 +165,7 @@ def _read_table(file: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
     import numpy as np  # not at the start of every command
 
     path, names = Path(file), list[str]()
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
-        raise ValueError(f"{file}: is not a regular file")
-    try:
+    with in_file(file):
         if path.suffix == ".npy":
             # Mapped rather than read: a header may claim more numbers than the file or the memory holds.
             with np.errstate(over="ignore"):  # of the size that the header claims
@@ -159,11 +174,6 @@ def _read_table(file: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
             table, names = parse_table(read_within(TEXT, path, file).decode(), ignores_text)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
-    except OSError as error:
-        raise ValueError(f"{file}: {error.strerror or error}") from error
-    except Exception as error:  # a damaged file raises many types of exceptions
-        message = one_line(error)
-        raise ValueError(message if message.startswith(file) else f"{file}: {message}") from error
     if not isinstance(table, np.ndarray):
         raise ValueError(f"{file}: is an archive (.npz); a single array (.npy) is expected")
     is_real = table.dtype == bool or table.dtype.kind in "iuf"

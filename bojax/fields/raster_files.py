@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from bojax.config.extras import needed
 from bojax.config.limits import NUMBERS, TEXT, read_within
-from bojax.fields.data import X_NAMES, Y_NAMES, Points, read_array, read_points, split_choice
+from bojax.fields.data import X_NAMES, Y_NAMES, Points, in_file, read_array, read_points, split_choice
 from bojax.fields.projection import Projection
 from bojax.fields.raster import DEGREES, Raster, regular, thinning
-from bojax.text import one_line
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,30 +36,20 @@ def read_raster(file: str, most: int | None = None) -> Raster:
     such as times, needs the number of one, from 1: `FILE.nc:NAME:3`, or `FILE.tif::3`, which has no names.
 
     Raises:
-        ValueError: The file cannot be read, or holds no raster; the message is one line that begins with
-            the name of the file.
+        ValueError: The file cannot be read, or holds no raster; see `in_file`.
         MissingExtra: The format needs the extra `geo`.
     """
     most = NUMBERS.allowed if most is None else most
     path, chosen = split_choice(file)
     suffix = Path(path).suffix.lower()
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
-        raise ValueError(f"{file}: is not a regular file")
-    if suffix not in SUFFIXES:
-        raise ValueError(f"{file}: the name has to end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
-    try:
+    with in_file(file):
+        if suffix not in SUFFIXES:
+            raise ValueError(f"{file}: the name has to end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
         if suffix in _WITH_RASTERIO:
             return _read_with_rasterio(path, chosen, most)
         if chosen:
             raise ValueError(f"{path}: got {chosen}, but a grid is read as a whole; allowed: {path}")
         return _read_plain(file, suffix).thinned(most)
-    except OSError as error:
-        raise ValueError(f"{file}: {error.strerror or one_line(error)}") from error
-    except ImportError:
-        raise
-    except Exception as error:  # a damaged file raises many types of exceptions
-        message = one_line(error)
-        raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error
 
 
 def local_extent(raster: Raster) -> tuple[float, float, float, float]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from bojax.areas.place import MOST_CELLS, Place, Values, values_of
-from bojax.fields.data import read_points, split_choice
+from bojax.fields.data import in_file, read_points, split_choice
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
 from bojax.fields.scale import unit_doubt
@@ -161,7 +161,7 @@ def _swapped(points: np.ndarray, place: Place) -> str:
 def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, Values, list[str]]:
     """Points `[N, 2]` in metres of the place and values `[N]` of an earlier survey, and notes on them."""
     path, notes = split_choice(file)[0], list[str]()
-    try:
+    with in_file(file):
         if Path(path).suffix.lower() in (".csv", ".txt", ".xyz"):
             read = read_points(file)
             # Columns without the name of a longitude are in the coordinates of the area.
@@ -182,6 +182,3 @@ def _read_values(file: str, place: Place) -> tuple[np.ndarray, np.ndarray, Value
         points, values = read.cells
         drawn = values_of(file, read, crs, place.projection)
         return place.projection.from_other(points, crs), values, drawn, notes
-    except ValueError as error:
-        message = str(error)
-        raise ValueError(message if message.startswith(path) else f"{file}: {message}") from error
