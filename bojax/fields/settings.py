@@ -2,7 +2,7 @@
 
 import abc
 import math
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
@@ -13,11 +13,7 @@ from bojax.config.errors import note_once
 from bojax.config.limits import CELLS, square
 from bojax.fields.data import record_sha256
 from bojax.fields.raster_files import FORMATS, local_extent, read_local_points, read_raster
-from bojax.fields.scale import unit_doubt
 from bojax.models.settings import GREATEST
-
-if TYPE_CHECKING:
-    import numpy as np
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
@@ -139,11 +135,6 @@ class _Measured(FieldSettings, frozen=True):
         record_sha256(self, self.file)
         return self
 
-    def _doubt(self, values: "np.ndarray") -> None:
-        """Print a note if the values in the file are in an unlikely unit."""
-        if doubt := unit_doubt(values):
-            note_once(f"note: {self.file}: {doubt}")
-
     @abc.abstractmethod
     def _check(self) -> tuple[float, float, float, float]:
         """The extent of the data in the file, m, whose values are checked."""
@@ -166,7 +157,6 @@ class Grid(_Measured, frozen=True):
         if number and self.holes == "refuse":
             allowed = 'allowed: data in all, or holes: "nearest"'
             raise ValueError(f"{self.file}: {number} of {size} cells have no data; {allowed}")
-        self._doubt(raster.values)
         for note in raster.notes if self.extent is None else ():
             note_once(f"note: {self.file}: {note} Set `extent` to give the size of the grid.")
         return local_extent(raster)
@@ -184,6 +174,5 @@ class Scattered(_Measured, frozen=True):
     @override
     def _check(self) -> tuple[float, float, float, float]:
         rows = read_local_points(self.file)
-        self._doubt(rows[:, 2])
         (x_min, y_min), (x_max, y_max) = rows[:, :2].min(0), rows[:, :2].max(0)
         return float(x_min), float(y_min), float(x_max), float(y_max)

@@ -12,7 +12,6 @@ import numpy as np
 
 from bojax.areas.area import Area, check_inside
 from bojax.areas.shapes import to_area
-from bojax.fields.scale import unit_doubt
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal, goal_of
 from bojax.surveys.lawnmower import MOST_LINES, Ground, too_small
@@ -163,7 +162,6 @@ class Mission:
         self.relearn_every, self.seed = None, 0
         self.counts: Counter[str] = Counter()
         self._plans = 0
-        self._is_doubted = False  # the unit of the values, by a warning
 
     def _check_ways(self) -> None:
         """Refuse ends outside the area, and a budget that is less than the shortest way between them.
@@ -354,8 +352,7 @@ class Mission:
         """Take measurements of a robot into the belief, and move it.
 
         The distance driven, along the points to the pose, is taken from the budget; a point that was only
-        passed has the value NaN. What cannot be used is left out and counted in `counts`. Values in an
-        unlikely unit are kept, with one warning in a mission (see `bojax.fields.scale`).
+        passed has the value NaN. What cannot be used is left out and counted in `counts`.
 
         Args:
             points: Positions of any number of measurements, in the order of driving, `[S, 2]`, m.
@@ -399,9 +396,6 @@ class Mission:
         if driven:
             its.drive(points[~is_far], pose)
         taken = self.measured.take(points, values, is_far, self.counts)
-        if not self._is_doubted and (doubt := unit_doubt(self.measured.y)):
-            self._is_doubted = True
-            warnings.warn(f"values: {doubt}", stacklevel=2)
         every = self.relearn_every
         if every is not None and self.num_measurements - self.measured.learned_at >= max(every, LEAST_DATA):
             self.relearn()

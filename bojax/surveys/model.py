@@ -12,7 +12,6 @@ from bojax.areas.place import MOST_CELLS, Place, Values, values_of
 from bojax.fields.data import in_file, read_points, split_choice
 from bojax.fields.raster import DEGREES
 from bojax.fields.raster_files import read_raster
-from bojax.fields.scale import unit_doubt
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
@@ -116,8 +115,6 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
             f"{file}: all values lie within {extent:.3g} m, and the area is {width:.4g} m wide; "
             "check the unit of their positions."
         )
-    if doubt := unit_doubt(values):
-        notes.append(f"{file}: {doubt}.")
     chosen = np.random.default_rng(0).permutation(len(values))[:MOST_SEEN]
     seen = points[chosen], values[chosen]
     points, values = (each[:MOST_POINTS] for each in seen)
