@@ -135,7 +135,7 @@ def parse(text: str, name: str) -> Any:
         try:
             node = loader.get_single_node()
             loader.num_nodes = 0  # count again, now including values that aliases repeat
-            return None if node is None else _construct(loader, node, name, ())
+            return None if node is None else _construct(loader, node, name)
         finally:
             loader.dispose()
     except _TooLarge:
@@ -149,24 +149,21 @@ def parse(text: str, name: str) -> Any:
         raise ConfigError(f"{name}{where}: is not YAML: {error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{name}: is not YAML: {one_line(error)}") from error
-    except RecursionError as error:
+    except RecursionError as error:  # also of an alias within the value that it stands for
         raise ConfigError(f"{name}: is nested too deeply") from error
 
 
 _parse_once = functools.lru_cache(maxsize=256)(parse)
 
 
-def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yaml.Node, ...]) -> Any:
+def _construct(loader: _Loader, node: yaml.Node, name: str) -> Any:
     where = f"{name}:{node.start_mark.line + 1}"
-    if any(node is ancestor for ancestor in ancestors):
-        raise ConfigError(f"{where}: an alias refers to a value that contains the alias")
     loader.count()
-    ancestors = (*ancestors, node)
     tag = node.tag.removeprefix(_TAG)
     if isinstance(node, yaml.SequenceNode) and tag == "seq":
-        return [_construct(loader, child, name, ancestors) for child in node.value]
+        return [_construct(loader, child, name) for child in node.value]
     if isinstance(node, yaml.MappingNode) and tag == "map":
-        return _construct_mapping(loader, node, name, ancestors)
+        return _construct_mapping(loader, node, name)
     if not isinstance(node, yaml.ScalarNode) or tag not in _CONSTRUCTORS:
         written = "!!" + tag if node.tag.startswith(_TAG) else node.tag
         allowed = ", ".join("!!" + known for known in _CONSTRUCTORS)
@@ -182,15 +179,13 @@ def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yam
         raise ConfigError(f"{where}: got {shown(text)}; {error}") from error
 
 
-def _construct_mapping(
-    loader: _Loader, node: yaml.MappingNode, name: str, ancestors: tuple[yaml.Node, ...]
-) -> dict[str, Any]:
+def _construct_mapping(loader: _Loader, node: yaml.MappingNode, name: str) -> dict[str, Any]:
     own: dict[str, Any] = {}
     inherited: dict[str, Any] = {}
     lines: dict[str, int] = {}
     for key_node, value_node in node.value:
         line = key_node.start_mark.line + 1
-        value = _construct(loader, value_node, name, ancestors)
+        value = _construct(loader, value_node, name)
         if key_node.tag == "tag:yaml.org,2002:merge":
             for base in reversed(value if isinstance(value, list) else [value]):
                 if not isinstance(base, dict):
