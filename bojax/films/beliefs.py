@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from PIL import Image
 from typing_extensions import override
 
-from bojax.films.film import MAX_FRAMES, STILL, Film, blank, photograph
+from bojax.films.film import STILL, Film, blank, frames_of, photograph
 from bojax.films.recorded import Trace
 from bojax.report.drawing.sketches import draw_step, is_by_step, legend_of, num_steps, set_stage
 from bojax.report.style import INK, drawn_text
@@ -22,8 +22,7 @@ class BeliefFilm(Film):
 
     def __init__(self, trace: Trace):
         self._trace = trace
-        count = num_steps(trace.sketch) + 1
-        self._steps = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int))
+        self._steps = frames_of(num_steps(trace.sketch) + 1)
         self.name = f"{file_name(trace.point.name)}-run{trace.run}"
         self.num_images = len(self._steps)
         self.seconds = round(float(np.clip(_LONGEST / self.num_images, _FASTEST, _SLOWEST)), 2)

@@ -70,6 +70,12 @@ def write_still(film: Film, path: Path, share: float) -> None:
     write_atomically(path, lambda path: image.save(path, "PNG", optimize=True))
 
 
+def frames_of(num_steps: int) -> NDArray[np.int64]:
+    """Indices of the steps shown: all steps, or `MAX_FRAMES` evenly spaced ones including the last."""
+    num = min(num_steps, MAX_FRAMES)
+    return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
+
+
 def blank(width: float, height: float) -> Figure:
     """An empty figure with a canvas for `photograph`; width and height are in inches."""
     figure = Figure(figsize=(width, height), dpi=DPI)

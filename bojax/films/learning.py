@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 from PIL import Image
 from typing_extensions import override
 
 from bojax.config.component import External
-from bojax.films.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
+from bojax.films.film import FASTEST, SLOWEST, STILL, Film, blank, frames_of, photograph
 from bojax.films.recorded import Episode
 from bojax.films.scenes import SCENES, Replay, ReplayScene, RobotScene, Scene
 from bojax.report.style import BLUE, FAINT, INK, drawn_text
@@ -80,12 +79,6 @@ class LearningFilm(Film):
         episode = self._episode
         for step in range(first if scene.has_trail else last, last + 1):
             scene.move(episode.observations[step], episode.actions[step], episode.frames[step])
-
-
-def frames_of(num_steps: int) -> NDArray[np.int64]:
-    """Indices of the steps shown: all steps, or `MAX_FRAMES` evenly spaced ones including the last."""
-    num = min(num_steps, MAX_FRAMES)
-    return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
 
 
 def _drawn(

@@ -13,8 +13,7 @@ from PIL import Image
 from bojax.cli.main import main
 from bojax.config.component import registry
 from bojax.films.choose import choose_film
-from bojax.films.film import MAX_FRAMES, render
-from bojax.films.learning import frames_of
+from bojax.films.film import MAX_FRAMES, frames_of, render
 from bojax.films.recorded import choose_episode
 from bojax.films.scenes import SCENES
 from bojax.report.build import build_report
