@@ -82,9 +82,9 @@ class Undecidable(Exception):
     """The data do not allow a test; the message says why."""
 
 
-def evaluate(results: Results) -> list[TestedClaim]:
-    """The entries of `claims.json`, one per claim of the sweep, in its order."""
-    entries = [_entry(results, claim) for claim in results.claims]
+def evaluate(results: Results, claims: Sequence[Claim | Unread] | None = None) -> list[TestedClaim]:
+    """The entries of `claims.json` of these claims, by default all of the sweep, in their order."""
+    entries = [_entry(results, claim) for claim in (results.claims if claims is None else claims)]
     return [entry.model_copy(update={"cause": cause_of(results, entry)}) for entry in entries]
 
 

@@ -33,7 +33,7 @@ def random(sizes: Sequence[int], count: int, seed: int) -> list[Levels]:
     return list(found)
 
 
-def fractional(sizes: Sequence[int], count: int, seed: int = 0) -> list[Levels]:
+def fractional(sizes: Sequence[int], count: int) -> list[Levels]:
     """A regular fraction of the grid, the first values of all choices first.
 
     Each choice with 2^b values is read from b columns of a two-level design in `count` = 2^m runs: words of
@@ -46,7 +46,6 @@ def fractional(sizes: Sequence[int], count: int, seed: int = 0) -> list[Levels]:
     """
     if count & (count - 1) or any(size & (size - 1) for size in sizes):
         raise ValueError(f"got {count} configurations of {list(sizes)} values; allowed: powers of 2")
-    factors = count.bit_length() - 1
     words = sorted(
         range(1, count),
         key=lambda word: (word.bit_count() % 2 == 0, word.bit_count() > 1, -word.bit_count(), word),
@@ -73,7 +72,6 @@ def fractional(sizes: Sequence[int], count: int, seed: int = 0) -> list[Levels]:
             bits = [((run & word).bit_count() & 1) for word in own]
             levels.append(sum(bit << place for place, bit in enumerate(bits)))
         runs.append(tuple(levels))
-    assert factors > 0
     return runs
 
 

@@ -219,10 +219,8 @@ def evaluated(
         results = load(folders[source])
         claims = [claim for claim in results.claims if isinstance(claim, Claim)]
         tested = [claim for claim in claims if claim.test.kind != "latency"]
-        results = replace(results, manifest=results.manifest)
-        results.__dict__["claims"] = tuple(tested)
         for number in numbers:
-            entries = evaluate(configuration_of(results, number))
+            entries = evaluate(configuration_of(results, number), tested)
             found[number] += [(claim, source, entry) for claim, entry in zip(tested, entries, strict=True)]
     return found
 
@@ -235,9 +233,7 @@ def configuration_of(results: Results, number: int) -> Results:
         for point in sorted(results.points, key=lambda point: order.index(point.variant))
         if str(number) in point.swept[AXIS].split()
     ]
-    part = results.only(points)
-    part.__dict__["claims"] = results.claims
-    return part
+    return results.only(points)
 
 
 def extended(
