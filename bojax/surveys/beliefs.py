@@ -35,7 +35,7 @@ def belief_from(
         expected: Measurements for which it has room from the first on.
     """
     number = len(values)
-    size = _power_of_two(max(number, expected))
+    size = max(LEAST_CAPACITY, 1 << (max(number, expected) - 1).bit_length())
     with jax.enable_x64(True):
         x, y = np.zeros((size, 2)), np.zeros(size)
         x[:number], y[:number] = points, values
@@ -51,8 +51,3 @@ def model_of(hyperparameters: tuple[float, float, float]) -> tuple[Scaled, jax.A
     """Kernel and noise variance."""
     lengthscale, variance, noise = (jnp.asarray(value, jnp.float64) for value in hyperparameters)
     return Scaled(Matern52(lengthscale), variance), noise
-
-
-def _power_of_two(number: int) -> int:
-    """The least power of two that is not below a number and `LEAST_CAPACITY`."""
-    return max(LEAST_CAPACITY, 1 << (number - 1).bit_length())

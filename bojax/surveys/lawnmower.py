@@ -91,11 +91,9 @@ def lawnmower(
         Waypoints `[W, 2]`, m, and what its turns leave out.
 
     Raises:
-        ValueError: The spacing is not positive, or for too many lines, or an end is not in the area.
+        ValueError: The spacing is one of too many lines, or an end is not in the area.
         TurnsTooTight: The turning radius of the ground does not allow such a route.
     """
-    if not spacing > 0 or not math.isfinite(spacing):
-        raise ValueError(f"spacing: got {spacing:g}; allowed: > 0 m")
     ground = area if isinstance(area, Ground) else Ground.of(area, start if start is not None else end)
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     rings = [ring[:-1] @ turn.T for ring in ground.rings]

@@ -313,8 +313,6 @@ def _beliefs(posterior: GaussianProcess, grid: Array, weights: Array, maps: Arra
 
 def _models(posterior: GaussianProcess, grid: Array, maps: Array, weight: Any) -> Models:
     weights = np.ones(len(grid)) if weight is None else np.asarray(weight(np.asarray(grid)), float)
-    if weights.shape != (len(grid),) or not (np.all(weights >= 0.0) and np.sum(weights) > 0.0):
-        raise ValueError("weight: allowed: numbers >= 0, one for each point, with a sum > 0")
     return _beliefs(posterior, grid, jnp.asarray(weights, grid.dtype), maps)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from bojax.fields.projection import Projection
 from bojax.results.store import write_content
+from bojax.surveys.polylines import driven_at
 
 _BOAT, _ARDUPILOT, _WAYPOINT, _RELATIVE_ALTITUDE = 11, 3, 16, 3  # of MAVLink
 
@@ -25,8 +26,7 @@ def write_waypoints(
     columns = {"x": waypoints[:, 0], "y": waypoints[:, 1]}
     if degrees is not None:
         columns |= {"longitude": degrees[:, 0], "latitude": degrees[:, 1]}
-    steps = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
-    columns["distance"] = np.concatenate([[0.0], np.cumsum(steps)])
+    columns["distance"] = driven_at(waypoints)
     formats = [".8f" if name in ("longitude", "latitude") else ".3f" for name in columns]
     rows = zip(*columns.values(), strict=True)
     lines = [",".join(format(value, each) for value, each in zip(row, formats, strict=True)) for row in rows]

@@ -137,7 +137,6 @@ def test_of_several_parts_the_one_with_the_start_is_covered() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: lawnmower(SQUARE, 0.0), "spacing: got 0; allowed: > 0 m"),
         (
             lambda: lawnmower(SQUARE, 1e-4),
             "spacing: got 0.0001 m, 100,000 lines; allowed: at least 0.001 m here",

@@ -98,8 +98,3 @@ def test_another_budget_compiles_nothing():
     with events_of_jax() as events:
         planned(SQUARE, 11.0, [3.0, 2.0], key=jax.random.key(1))
     assert COMPILATION not in events
-
-
-def test_weights_without_a_sum_are_refused():
-    with pytest.raises(ValueError, match="weight: allowed: numbers >= 0"):
-        planned(WITH_HOLE, 10.0, weight=lambda points: np.zeros(len(points)))
