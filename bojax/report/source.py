@@ -366,7 +366,7 @@ def load(folder: Path) -> Results:
     """
     if not os.path.isdir(folder):  # unlike `Path.is_dir`, false for a name that no file can have
         what = "a file, not a results folder" if os.path.exists(folder) else "no such results folder"
-        raise ResultsError(f"{_short(folder)}: {what}")
+        raise ResultsError(f"{folder}: {what}")
     if not (folder / MANIFEST).exists() and (newest := _newest_below(folder)):
         raise ResultsError(f"{folder}: not a results folder; the newest below it is {newest}")
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
@@ -389,12 +389,6 @@ def _newest_below(folder: Path) -> Path | None:
     """The results folder that was written last, at most two levels below: `results/NAME/TIME`."""
     found = [*folder.glob(f"*/{MANIFEST}"), *folder.glob(f"*/*/{MANIFEST}")]
     return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
-
-
-def _short(path: Path) -> str:
-    """A path, its middle left out where it is too long to be read."""
-    text = str(path)
-    return text if len(text) <= 200 else f"{text[:100]}...{text[-60:]}"
 
 
 def _unfinished(folder: Path) -> ResultsError:

@@ -173,15 +173,11 @@ def _num_runs(folder: Path, column: str, is_counted: Callable[[np.ndarray], np.n
     return int(np.sum(is_counted(read_table(path, [column])[column].to_numpy())))
 
 
-def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
-    """The rows of all pieces in the order of results, in tables that do not overlap.
+def sorted_rows(pieces: Sequence[Path]) -> Iterator[pa.Table]:
+    """The rows of all pieces of a table in the order of results, in tables that do not overlap.
 
     Pieces are read in the order of their first rows. Rows that precede the first row of every unread piece
-    are complete, so that they can be yielded.
-
-    Args:
-        pieces: Files of one table.
-        most: Number of newly read rows above which the complete ones are yielded.
+    are complete, so that they can be yielded, once more than `HELD_ROWS` rows have been read.
     """
     schemas: dict[pa.Schema, None] = {}
     order: list[tuple[int, int]] = []
@@ -200,7 +196,7 @@ def sorted_rows(pieces: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Ta
         count += held[-1].num_rows
         # Rows that stayed incomplete do not count, or all of them would be looked at again for every piece.
         # Where all pieces of a chunk begin with its first run, none of its rows is complete before the last.
-        if bound is not None and (count - kept <= most or bound <= lowest):
+        if bound is not None and (count - kept <= HELD_ROWS or bound <= lowest):
             continue
         rows = pa.concat_tables([schema.empty_table(), *held], promote_options="default")
         if bound is None:

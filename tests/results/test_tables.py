@@ -318,7 +318,7 @@ def test_the_exit_code_distinguishes_a_wrong_path_from_a_failure_of_the_machine(
     assert raised.value.exit_code == code and "\n" not in str(raised.value)
 
 
-def test_rows_are_merged_as_a_stream(tmp_path):
+def test_rows_are_merged_as_a_stream(tmp_path, monkeypatch):
     """Parts in any order, of groups of interleaved points, with a bound of a few rows."""
     draw = np.random.default_rng(0)
     keys = [(point, run) for point in range(6) for run in range(20)]
@@ -333,7 +333,8 @@ def test_rows_are_merged_as_a_stream(tmp_path):
                 whole.append(steps(*((int(p), int(r), int(s), x) for p, r, s, x in half)))
                 write_table(parts[-1], whole[-1])
     expected = sort_rows(pa.concat_tables(whole))
-    found = list(sorted_rows(parts, most=50))
+    monkeypatch.setattr("bojax.results.merge.HELD_ROWS", 50)
+    found = list(sorted_rows(parts))
     assert len(found) > 3 and max(table.num_rows for table in found) < expected.num_rows / 2
     assert pa.concat_tables(found).equals(expected)
 
