@@ -164,17 +164,16 @@ class ChunkFolder:
 
     def commit(self, staged: Staged | None = None) -> None:
         """Commit what is staged, by default everything; a checkpoint that is not the last one is dropped."""
-        state, names = (staged.state, staged.names) if staged else (self.state, self._new)
+        staged = staged or self.stage()
+        state, names = staged.state, staged.names
         files = {
             name: found
             for name, found in self.state.files.items()
             if _top(name) == state.checkpoint or not name.startswith(_CHECKPOINT)
         }
         with explained(self.path):
-            for name in names:
-                if (
-                    path := self.path / name
-                ).is_dir():  # Orbax leaves it to the system when this is on the disk
+            for path in (self.path / name for name in names):
+                if path.is_dir():  # Orbax leaves it to the system when this is on the disk
                     sync(path, *path.rglob("*"))
             sync(*{folder for name in names for folder in self._folders(name)}, self.path)
         for path in [path for name in names for path in _files(self.path / name)]:
@@ -183,8 +182,6 @@ class ChunkFolder:
                 raise self._refusal(path, "missing")
             files[path.relative_to(self.path).as_posix()] = found
         self.state.files = state.files = files
-        if staged is None:
-            self._new = []
         self._write_state(state)
         with explained(self.path):
             sync(self.path)  # before the previous checkpoint is deleted
