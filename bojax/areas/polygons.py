@@ -62,15 +62,12 @@ def _united(found: list[list[Any]], file: str) -> BaseGeometry:
         if not np.isfinite(shapely.get_coordinates(polygon)).all():
             raise ValueError(f"{name}: a corner is not finite")
         if not shapely.is_valid(polygon):
-            raise ValueError(f"{name}: crosses itself or touches itself ({_reason(polygon)})")
+            reason = one_line(shapely.is_valid_reason(polygon)).replace("[", " at ").replace("]", "").lower()
+            raise ValueError(f"{name}: crosses itself or touches itself ({reason})")
         if polygon.area == 0.0:
             raise ValueError(f"{name}: has no area")
         polygons.append(polygon)
     return shapely.union_all(polygons)
-
-
-def _reason(polygon: BaseGeometry) -> str:
-    return one_line(shapely.is_valid_reason(polygon)).replace("[", " at ").replace("]", "").lower()
 
 
 def _of_geojson(content: Any) -> tuple[list[list[Any]], str | None]:

@@ -247,11 +247,12 @@ class Results:
         """
         key = (point.index, column, phase)
         if key not in self._recorded:
-            values = self.episodes[column]
-            last = max((self._last_episode(each, phase) for each in self.points), default=0)
+            values, episodes = self.episodes[column], self.episodes["episode"]
+            of_points = [episodes[self._episode_rows(each, phase)] for each in self.points]
+            last = max((int(each.max(initial=0)) for each in of_points), default=0)
             rows, runs = self._episode_rows(point, phase), self.runs_of(point)["run"]
             cell = np.searchsorted(runs, self.episodes["run"][rows]) * last
-            cell += self.episodes["episode"][rows] - 1
+            cell += episodes[rows] - 1
             values = values[rows].astype(np.float64)
             count = np.bincount(cell, minlength=runs.size * last)
             total = np.bincount(cell, values, minlength=runs.size * last)
@@ -273,9 +274,6 @@ class Results:
             start, stop = np.searchsorted(self.episodes["point"], [point.index, point.index + 1])
             self._phase_rows[key] = start + np.flatnonzero(self.episodes["phase"][start:stop] == phase)
         return self._phase_rows[key]
-
-    def _last_episode(self, point: Point, phase: str) -> int:
-        return int(self.episodes["episode"][self._episode_rows(point, phase)].max(initial=0))
 
     @cached_property
     def _phase_rows(self) -> dict[tuple[int, str], NDArray[np.intp]]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,12 +133,11 @@ def _write_tables(
     folder: Path, pieces: Mapping[str, Sequence[Path]], points: Sequence[PointInfo], seed: int
 ) -> dict[tuple[int, int], int]:
     """Write every table, and return the number of NaNs of each (point, run) that has any."""
-    nans: dict[tuple[int, int], int] = {}
+    nans: Counter[tuple[int, int]] = Counter()
 
     def merged(name: str) -> Iterator[pa.Table]:
         for rows in sorted_rows(pieces[name]):
-            for run, count in count_nans([rows]).items():
-                nans[run] = nans.get(run, 0) + count
+            nans.update(count_nans(rows))
             yield _runs(rows, points, seed, nans) if name == RUNS else _labelled(rows, points)
 
     for name in sorted(pieces, key=lambda name: name == RUNS):  # last, since it has the NaNs of all tables

@@ -1,6 +1,7 @@
 """Conversion of NumPy columns to Arrow tables, the order of rows, and counts of NaN."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
@@ -37,19 +38,18 @@ def sort_rows(table: pa.Table) -> pa.Table:
     return table.combine_chunks().sort_by(keys) if keys else table  # chunks take 1.5 times as long to sort
 
 
-def count_nans(tables: Sequence[pa.Table]) -> dict[tuple[int, int], int]:
-    """Number of NaNs of each run, `{(point, run): count}`, over all float columns of the tables."""
-    counts: dict[tuple[int, int], int] = {}
-    for table in tables:
-        is_nan = np.zeros(table.num_rows, dtype=np.int64)
-        for field in table.schema:
-            if pa.types.is_floating(field.type):
-                nan = pc.call_function("is_nan", [table[field.name]])
-                is_nan += nan.fill_null(False).to_numpy().astype(np.int64)
-        (rows,) = np.nonzero(is_nan)
-        points, runs = table["point"].to_numpy()[rows], table["run"].to_numpy()[rows]
-        for point, run, count in zip(points.tolist(), runs.tolist(), is_nan[rows].tolist(), strict=True):
-            counts[point, run] = counts.get((point, run), 0) + count
+def count_nans(table: pa.Table) -> Counter[tuple[int, int]]:
+    """Number of NaNs of each run, `{(point, run): count}`, over all float columns of a table."""
+    counts: Counter[tuple[int, int]] = Counter()
+    is_nan = np.zeros(table.num_rows, dtype=np.int64)
+    for field in table.schema:
+        if pa.types.is_floating(field.type):
+            nan = pc.call_function("is_nan", [table[field.name]])
+            is_nan += nan.fill_null(False).to_numpy().astype(np.int64)
+    (rows,) = np.nonzero(is_nan)
+    points, runs = table["point"].to_numpy()[rows], table["run"].to_numpy()[rows]
+    for point, run, count in zip(points.tolist(), runs.tolist(), is_nan[rows].tolist(), strict=True):
+        counts[point, run] += count
     return counts
 
 

@@ -484,7 +484,7 @@ def test_weights_that_are_no_number_are_counted_in_runs_that_are_not_recorded():
     runs = {name: np.asarray(values) for name, values in jax.vmap(run.summary)(after).items()}
     keys = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32)}
     table = to_arrow((*KEYS, *run.tables["runs"]), {**keys, **runs})
-    assert count_nans([table]) == {(0, 1): 1, (0, 2): 1}
+    assert count_nans(table) == {(0, 1): 1, (0, 2): 1}
     # Its other numbers are as before, so that a study of divergence has its rows.
     assert np.all(np.isfinite(runs["last_return"])) and not np.any(after.is_done)
     assert np.all(np.isfinite(records.tables["episodes"]["return"]))

@@ -77,9 +77,9 @@ def test_rows_are_sorted_by_point_run_step():
     assert list(zip(*found.values(), strict=True)) == sorted(row[:3] for row in rows)
 
 
-def test_nans_are_counted_by_run_over_all_tables():
-    tables = [steps((0, 1, 1, np.nan), (0, 1, 2, np.nan), (1, 0, 1, 2.0)), steps((1, 0, 1, np.nan))]
-    assert count_nans(tables) == {(0, 1): 2, (1, 0): 1}
+def test_nans_are_counted_by_run():
+    table = steps((0, 1, 1, np.nan), (0, 1, 2, np.nan), (1, 0, 1, 2.0), (1, 1, 1, np.nan))
+    assert count_nans(table) == {(0, 1): 2, (1, 1): 1}
 
 
 CHUNKS = [ChunkInfo(f"chunk-{index:05d}-0123456789ab", index, 0, -1) for index in range(2)]

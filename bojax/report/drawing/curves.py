@@ -246,10 +246,10 @@ def without_line(values: Floats) -> np.ndarray:
     return is_there & ~before & ~after
 
 
-def step_ticks(last: int, most: int = 9) -> list[int]:
-    """Evenly spaced whole steps from 0, the last one among them where the spacing allows it."""
+def step_ticks(last: int) -> list[int]:
+    """At most nine evenly spaced whole steps from 0, the last one among them where the spacing allows it."""
     spacings = [factor * 10**power for power in range(len(str(last))) for factor in (1, 2, 3, 5)]
-    few = [spacing for spacing in spacings if last // spacing < most]
+    few = [spacing for spacing in spacings if last // spacing < 9]
     spacing = next((spacing for spacing in few[:3] if last % spacing == 0), few[0])
     return list(range(0, last + 1, spacing))
 

@@ -1,11 +1,8 @@
 """The belief of particles and the true state during the first recorded run of each point."""
 
-from collections.abc import Sequence
-
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, points_with
 from bojax.report.drawing.sketches import (
-    Sketch,
     draw_step,
     is_by_step,
     legend_of,
@@ -13,7 +10,7 @@ from bojax.report.drawing.sketches import (
     set_stage,
     sketches,
 )
-from bojax.report.source import Point, Results
+from bojax.report.source import Results
 from bojax.report.text import joined
 
 RANK = 125
@@ -52,14 +49,11 @@ def draw(results: Results) -> Drawing:
         handletextpad=0.2,
     )
     runs = joined(sorted({run for _, run, _ in shown}))
+    num_drawn = max(next(iter(sketch.values())).shape[1] - 1 for _, _, sketch in shown)
     return Drawing(
         figure=figure,
         title="Belief during an episode",
         caption="Large dots: the true state, with its path over the last steps. Small dots: "
-        f"{_num_drawn(shown)} states of the belief, equal ones as one larger dot. Run {runs}.{note}",
+        f"{num_drawn} states of the belief, equal ones as one larger dot. Run {runs}.{note}",
         alt=f"The true state and states of the belief at some steps of an episode. {'; '.join(told)}.",
     )
-
-
-def _num_drawn(shown: Sequence[tuple[Point, int, Sketch]]) -> int:
-    return max(next(iter(sketch.values())).shape[1] - 1 for _, _, sketch in shown)
