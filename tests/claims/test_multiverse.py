@@ -120,6 +120,11 @@ def test_shipped_analyses_fit_their_sweeps():
         ("setting: learner.learning_rate, ", "", "setting: missing"),
         ("of: [usual]", "sweeps: [other.yaml]", 'choices.rate.sweeps: got "other.yaml"; allowed: own.yaml'),
         ("short: {env.max_steps: 3}", "short: {}", 'choices.cap: got "short", which changes no point'),
+        (
+            "short: {env.max_steps: 3}",
+            "short: {env.max_steps: 3}, brief: {env.max_steps: 3}",
+            'choices.cap: got "short" and "brief", which are equal; allowed: distinct values',
+        ),
         ("long: {}", "long: {env.max_steps: 9}", "choices.cap.values: the first changes usual"),
         ("sweeps: [own.yaml]", "sweeps: [other.yaml]", "other.yaml: no such file"),
         ("sweeps: [own.yaml]", "sweeps: []", "sweeps"),

@@ -291,7 +291,10 @@ def _find(source: str) -> Path:
 
 
 def _check_choices(declaration: Declaration, where: str) -> None:
-    """Refuse a value that a point refuses, that changes no point, or a first one that changes the sweep."""
+    """Refuse a value that a point refuses, that changes no point, or a first one that changes the sweep.
+
+    Two values of a choice that give the same points are refused as well.
+    """
     sweeps = declaration.file.sweeps
     for name, choice in declaration.file.choices.items():
         for source in choice.sweeps:
@@ -304,6 +307,7 @@ def _check_choices(declaration: Declaration, where: str) -> None:
         for name, choice in declaration.file.choices.items()
         for level in range(1, len(choice.values))
     }
+    given: dict[tuple[str, int], list[tuple[str, int]]] = {}  # sweep and index of the points of each value
     for source in sweeps:
         tried, varied = declaration.one_at_a_time(source)
         points = [(point.swept[AXIS].split(), point.variant) for point in varied.points]
@@ -318,6 +322,8 @@ def _check_choices(declaration: Declaration, where: str) -> None:
                 )
             if changed:
                 unused.discard((name, level))
+            own = [(source, index) for index, (numbers, _) in enumerate(points) if str(number) in numbers]
+            given.setdefault((name, level), []).extend(own)
     if unused:
         name, level = min(unused)
         value = declaration.file.choices[name].names[level]
@@ -325,3 +331,11 @@ def _check_choices(declaration: Declaration, where: str) -> None:
             f"{where}: choices.{name}: got {shown(value)}, which changes no point of "
             f"{', '.join(sweeps)} that a claim compares; allowed: settings that such a point has"
         )
+    for (name, level), points in given.items():
+        names = declaration.file.choices[name].names
+        for earlier in range(level):
+            if given[name, earlier] == points:
+                equal = f"{shown(names[earlier])} and {shown(names[level])}"
+                raise ConfigError(
+                    f"{where}: choices.{name}: got {equal}, which are equal; allowed: distinct values"
+                )
