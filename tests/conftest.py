@@ -184,7 +184,7 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.write_line(f"most memory of the workers, GiB: {sizes}")
 
 
-_MOST_MEMORY = 1_500_000
+_MOST_MEMORY = 2_500_000
 """KiB of a worker after which compiled programs are dropped."""
 
 _MOST_MAPS = 30_000
