@@ -403,11 +403,13 @@ def test_what_a_survey_does_not_use_or_measure_is_named():
         assert " ".join(remarks(survey, planning.Demand(**given), field, None)) == expected
 
 
-def test_a_budget_of_which_lawnmowers_use_little_is_named(tmp_path, capsys):
+def test_a_budget_of_which_lawnmowers_use_little_is_named(tmp_path, capsys, monkeypatch):
+    for module in ("lawnmower", "remarks"):
+        monkeypatch.setattr(f"bojax.surveys.{module}.MOST_LINES", 1000)
     survey = planned(tmp_path / "out", "300x110", "--budget", "9e8", "--lawnmower")
     length = survey["candidates"][0]["length"]
     used = f"Only {length:.4g} m ({100 * length / 9e8:.2g}%) of the budget of 9e+08 m are used"
-    assert f"note: {used}: more than 10,000 lines are not tried.\n" in capsys.readouterr().out
+    assert f"note: {used}: more than 1,000 lines are not tried.\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
