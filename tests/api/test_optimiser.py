@@ -180,15 +180,16 @@ def test_a_noisy_function_has_the_point_of_the_best_mean(maximise):
     assert abs(result.value) < 0.1
 
 
-def test_step_by_step_with_points_of_ones_own_and_more_than_the_capacity():
-    search = bojax.Optimiser({"x": (-1.0, 1.0)}, noisy=True)
+def test_step_by_step_with_points_of_ones_own_and_more_than_the_capacity(monkeypatch):
+    monkeypatch.setattr(optimiser, "LEAST_CAPACITY", 16)  # twice as many have the programs of other tests
+    search = bojax.Optimiser({"x": (-1.0, 1.0)}, noisy=True, capacity=16)
     assert search.ask() == search.ask()
     random = np.random.default_rng(1)
-    points = [{"x": x} for x in random.uniform(-1.0, 1.0, 40)]  # above `LEAST_CAPACITY`
+    points = [{"x": x} for x in random.uniform(-1.0, 1.0, 24)]
     search.tell_batch(points, [point["x"] ** 2 for point in points])
     search.tell(search.ask(), 0.0)
     result = search.result()
-    assert len(result.evaluations) == 41
+    assert len(result.evaluations) == 25
     with pytest.raises(ValueError, match="points: got a single point; allowed: a list"):
         result.predict({"x": 0.5})
     mean, _ = result.predict([{"x": 0.5}])
