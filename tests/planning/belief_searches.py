@@ -23,6 +23,9 @@ from tests.reference import belief_search as reference
 
 RECOMMENDATION = one_of("value", "visits")
 
+ITERATIONS = 150
+"""Of most searches, which share a program for each planner."""
+
 
 def number(x):
     return jnp.asarray(x, float)

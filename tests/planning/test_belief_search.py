@@ -15,6 +15,7 @@ from bojax.planning.widening import Widening, capacity
 from bojax.problems.particles import Particles
 from tests.planning import belief_searches
 from tests.planning.belief_searches import (
+    ITERATIONS,
     SETTINGS,
     BinaryDrift,
     Drift,
@@ -29,8 +30,6 @@ from tests.reference import belief_search as reference
 from tests.tiers import by_tier
 
 KEY = 5  # of a search
-ITERATIONS = 150
-"""Of most searches, which share a program for each planner."""
 
 
 def search(planner, problem, belief):
@@ -212,14 +211,6 @@ def test_visits_add_up_and_widening_is_bounded(name):
     assert len(seen) > 100
 
 
-def test_capacities_stop_widening():
-    problem = drift()
-    tree = search(planner("pft", 200, max_actions=2, max_branches=1), problem, belief_of(problem))
-    visits = totals_by_action(tree)[..., 0]
-    assert visits.shape == (201, 2) and visits[ROOT].sum() == 200
-    assert tree.branches.shape == (201, 1)
-
-
 @pytest.mark.parametrize("published", [False, True])
 @pytest.mark.parametrize("name", ["pft", "pomcpow"])
 def test_beliefs_without_weights_or_living_states_give_no_nan(name, published):
@@ -286,13 +277,16 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
 
 
 @pytest.mark.parametrize("name", by_tier(["pft", "pomcpow"], normal=["pft"]))
-def test_the_first_action_of_the_root_is_that_of_the_policy(name):
+def test_the_first_action_of_the_root_is_that_of_the_policy_and_capacities_stop_widening(name):
     problem = drift()
     policy = lambda problem, key, belief: jnp.full((1,), 0.125)  # noqa: E731
-    tree = search(planner(name, 20, first_action=policy), problem, belief_of(problem))
-    totals, actions = totals_by_action(tree), np.asarray(tree.parameters)[tree.children][..., 0]
-    is_policys = (actions == 0.125) & (totals[..., 0] > 0.0)
+    limited = planner(name, 200, first_action=policy, max_actions=2, max_branches=1)
+    tree = search(limited, problem, belief_of(problem))
+    visits, actions = totals_by_action(tree)[..., 0], np.asarray(tree.parameters)[tree.children][..., 0]
+    is_policys = (actions == 0.125) & (visits > 0.0)
     assert is_policys[ROOT, 0] and np.sum(is_policys) == 1
+    assert visits.shape == (201, 2) and visits[ROOT].sum() == 200
+    assert tree.branches.shape == (201, 1)
 
 
 def test_rollouts_follow_their_policy_to_the_horizon_and_no_further():

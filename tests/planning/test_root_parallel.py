@@ -11,9 +11,9 @@ from bojax.planning.root_parallel import recommended_by_all
 from bojax.planning.settings import POMCPOW
 from bojax.planning.tree import RootActions
 from bojax.problems.actions import Box, Discrete, Mixed
-from tests.planning.belief_searches import belief_of, drift, number, planner, search
+from tests.planning.belief_searches import ITERATIONS, belief_of, drift, number, planner, search
 
-ITERATIONS, TREES = 60, 3
+TREES = 3
 LEAST = 1e-6
 """The smallest `merge_lengthscale`."""
 
