@@ -3,6 +3,8 @@
 Termination is observed: while an episode goes on, no terminal particle can be the state.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,6 +24,11 @@ class Particles(eqx.Module):
     collapses: Int[Array, ""] | None = None
     # How often an action was outside of the space; None if it is not counted
     outside: Int[Array, ""] | None = None
+
+    def counted(self) -> "Particles":
+        """The belief at the start of an episode, whose counts are 0."""
+        zero = jnp.zeros((), jnp.int32)
+        return replace(self, collapses=zero, outside=zero)
 
     @property
     def mean(self) -> Float[Array, "D"]:

@@ -117,9 +117,7 @@ class StateProblem(StateModel, Problem):
     @override
     def prior(self, key: Key[Array, ""], world: Float[Array, "D"], num_samples: int) -> Particles:
         """Draws from the initial belief, which do not depend on the world."""
-        drawn = particles.initial(self, key, self.num_particles)
-        zero = jnp.zeros((), jnp.int32)
-        return replace(drawn, collapses=zero, outside=zero)
+        return particles.initial(self, key, self.num_particles).counted()
 
     @override
     def execute(

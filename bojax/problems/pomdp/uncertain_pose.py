@@ -93,7 +93,7 @@ class UncertainPose(StateProblem):
         weights = jnp.where(ended & ~jnp.all(ended), -jnp.inf, 0.0).astype(world.dtype)
         indices = particles.systematic(key_resample, weights)
         equal = jnp.full((self.num_particles,), -jnp.log(self.num_particles), world.dtype)
-        return Particles(poses[indices], equal, jnp.zeros_like(ended), jnp.zeros((), jnp.int32))
+        return Particles(poses[indices], equal, jnp.zeros_like(ended)).counted()
 
     @property
     @override
