@@ -52,7 +52,7 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
 def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Drawing], list[str]]:
     """The figures of the page by name, and notes on figures that are missing."""
     asked = results.report.figures
-    drawings, notes = dict[str, Drawing](), list[str]()
+    drawings, notes, missing = dict[str, Drawing](), list[str](), list[str]()
     for name in dict.fromkeys(asked or ranked()):
         if name in TABLES:
             continue
@@ -61,8 +61,9 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Dra
             continue
         at(f"figure {name}")
         try:
-            with style.settings():
+            with style.settings() as unwritten:
                 drawings[name] = draw(name, results).encoded()
+            missing += unwritten
         except FigureUnavailable as reason:
             if asked:
                 notes.append(f"The figure {name} is not drawn: {reason}.")
@@ -70,6 +71,11 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Dra
             raise
         except Exception as error:  # a failed figure must not cost the page
             notes.append(f"The figure {name} could not be drawn: {error_line(error)}.")
+    if missing:
+        notes.append(
+            "Figures show some characters of names as boxes, because no font on this machine has them. "
+            "Install one that does, such as Noto Sans CJK, and run bojax report again."
+        )
     return drawings, notes
 
 

@@ -114,12 +114,16 @@ _FALLBACKS = (
 )
 """Fonts for characters that DejaVu Sans lacks, used where they are installed."""
 
+_NO_GLYPH = "Glyph .* missing from"
+
 
 @contextmanager
-def settings() -> Iterator[None]:
+def settings() -> Iterator[list[str]]:
     """Context with the settings of matplotlib under which figures are made and saved.
 
-    Warnings of characters that no font has, which are drawn as boxes, are not shown.
+    Yields:
+        A list that contains, after the context, matplotlib's warnings of characters that no font has. These
+        warnings are not shown; others are.
     """
     fonts = [
         *_SETTINGS["font.family"],
@@ -127,11 +131,18 @@ def settings() -> Iterator[None]:
     ]
     settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_SETTINGS, "font.family": fonts}
     del settings["backend"]  # a notebook keeps its own, which `rc_context` would not restore
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+    missing: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.filterwarnings("always", message=_NO_GLYPH)
         # Without this, matplotlib logs a message for each fallback font that lacks the normal weight.
-        with quiet("matplotlib.font_manager", logging.ERROR), matplotlib.rc_context(settings):
-            yield
+        no_messages = quiet("matplotlib.font_manager", logging.ERROR)
+        with matplotlib.rc_context(settings), no_messages:
+            yield missing
+    for warning in caught:
+        if re.match(_NO_GLYPH, str(warning.message)):
+            missing.append(str(warning.message))
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
 def figure(

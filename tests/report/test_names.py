@@ -57,7 +57,7 @@ def encoded(figure):
     """Files of a figure, without a warning but of glyphs; its SVG is well-formed."""
     with warnings.catch_warnings(), style.settings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        warnings.filterwarnings("always", message=style._NO_GLYPH)
         files = style.encode(figure)
     ElementTree.fromstring(files["svg"])
     assert not any(text.get_parse_math() for text in texts_of(figure))
