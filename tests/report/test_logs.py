@@ -269,8 +269,10 @@ MISTAKES = """\
 => headless/monitor.csv: line 1: allowed: # and JSON with t_start, as Monitor
 --csv lost
 => lost/monitor.csv: no column l; allowed: r, l, t and others
+--csv bare
+=> bare/monitor.csv: lacks its first line #{...}; allowed: # and JSON
 --csv negative
-=> negative/monitor.csv: r: steps go backwards, from
+=> negative/monitor.csv: line 4: l: got -5; allowed: a length >= 0
 --csv short
 => short/monitor.csv: has no rows; allowed: at least one below the header
 --csv two.csv
@@ -325,6 +327,7 @@ class TestMistakes:
         write(here / "infinite.csv", WANDB.replace("20.1", "Infinity"))
         write(here / "headless" / "monitor.csv", MONITOR.replace('"t_start"', '"start"'))
         write(here / "lost" / "monitor.csv", MONITOR.replace("r,l,t", "r,length,t"))
+        write(here / "bare" / "monitor.csv", MONITOR.partition("\n")[2])
         write(here / "negative" / "monitor.csv", MONITOR.replace("-900.25,200", "-900.25,-5"))
         write(here / "short" / "monitor.csv", "\n".join(MONITOR.split("\n")[:2]))
         write(here / "two.csv", "Step,a - loss,a - value\n1,2,3\n")

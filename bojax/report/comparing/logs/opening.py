@@ -99,12 +99,17 @@ def _of_files(paths: Sequence[Path]) -> Columns:
     for path in paths:
         if path.suffix == ".npz":
             found = arrays.arrays_of(path)
-            if {"timesteps", "results"} <= found.keys():  # of `EvalCallback` of Stable-Baselines3
+            if arrays.is_evaluations(found):
                 columns = {**columns, **arrays.evaluation_columns(path, found)}
         elif path.suffix == ".csv" and path not in events:
             text = text_of(path)
-            if text.startswith("#{"):  # the `Monitor` of Stable-Baselines3: a comment in JSON, then CSV
+            if text_tables.is_monitor(text):
                 monitors.append((path, text))
+            elif path.name.endswith("monitor.csv") and text_tables.is_bare_monitor(text):
+                raise ResultsError(
+                    f"{path}: lacks its first line #{{...}}; "
+                    "allowed: # and JSON with t_start, as Monitor writes"
+                )
             elif text_tables.PROGRESS_STEPS in text.partition("\n")[0]:
                 columns = {**columns, **text_tables.progress_columns(text_tables.table_of(path, text))}
     if events:
