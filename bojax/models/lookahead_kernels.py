@@ -163,7 +163,7 @@ def _tile(ref: Any, *axes: tuple[Any, int]) -> tuple[Any, jax.Array]:
         index = start + jnp.arange(size, dtype=np.int32)
         shape = [size if other == axis else 1 for other in range(len(axes))]
         inside.append((index < ref.shape[axis]).reshape(shape))
-    # Of a start that is known, Pallas would refuse a block that ends past the array, whatever the mask.
+    # If a start is known, Pallas refuses a block that ends past the array, whatever the mask.
     starts = [start + jnp.zeros((), np.int32) for start, _ in axes]
     blocks = tuple(pallas.ds(start, size) for start, (_, size) in zip(starts, axes, strict=True))
     return ref.at[blocks], functools.reduce(operator.and_, inside)
