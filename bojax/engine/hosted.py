@@ -112,7 +112,7 @@ class Hosted(Programs):
             act=program(lambda phase, carry, episode, step: phase.act(_keys(phase, step)[0], episode)),
             apply=program(
                 lambda phase, carry, episode, choice, time_step, step: phase.apply(
-                    _keys(phase, step)[2], episode, choice, None, time_step, step
+                    _keys(phase, step)[2], episode, choice, None, time_step, step % phase.learner.block, step
                 )
             ),
             flush=program(lambda phase, carry, episode: phase.flush(episode)),

@@ -14,6 +14,7 @@ from typing_extensions import override
 from bojax.envs.base import Env, EnvState, Observation
 from bojax.envs.check import check_env
 from bojax.envs.spaces import Box
+from bojax.experiments.back_to_back import episodes_in_advance, run_back_to_back
 from bojax.experiments.base import Experiment, Records
 from bojax.experiments.episode import EpisodeState
 from bojax.experiments.phases import PHASES, Phase, run_episode
@@ -23,6 +24,7 @@ from bojax.experiments.value_maps import Visits, value_map
 from bojax.learning.base import ExplorationState, Learner, LearnerState
 from bojax.learning.check import check_learner, check_schedule, check_weight
 from bojax.learning.schedules import Schedule
+from bojax.learning.tabular import TabularLearner
 from bojax.numerics.lanes import EPISODES
 from bojax.results.schema import Column, Table
 
@@ -109,7 +111,9 @@ def _exploring(tests_learn: Literal["no", "exploiting", "exploring"]) -> Bool[Ar
 
 
 class LearningRun(Experiment):
-    """Episodes of a learner in an environment; an advance is one training episode and the tests after it.
+    """Episodes of a learner in an environment.
+
+    An advance is one training episode and the tests after it, or several episodes without tests.
 
     Settings: `bojax.experiments.settings.Learning`.
     """
@@ -188,12 +192,24 @@ class LearningRun(Experiment):
     @property
     @override
     def max_advances(self) -> int:
-        return self.episodes
+        return -(-self.episodes // self._episodes_in_advance)
 
     @property
     @override
     def steps_per_advance(self) -> int:
-        return self.env.max_steps
+        return self._episodes_in_advance * self.env.max_steps
+
+    @property
+    def _episodes_in_advance(self) -> int:
+        """Number of training episodes that an advance has at least, of a run that goes on.
+
+        It is one if all lanes have to end their episodes together: for tests, maps and learning from whole
+        episodes. An episode of a tabular learner is a kernel, in which no lane waits for others.
+        """
+        are_together = self.tests or self.map_episodes or self.is_hosted or self.learner.learns_from_episodes
+        if are_together or isinstance(self.learner, TabularLearner):
+            return 1
+        return min(episodes_in_advance(self.env.max_steps), self.episodes)
 
     @override
     def init(self, key: Key[Array, ""]) -> RunState:
@@ -231,6 +247,8 @@ class LearningRun(Experiment):
 
     @override
     def advance(self, carry: RunState) -> tuple[RunState, Records]:
+        if self._episodes_in_advance > 1:
+            return run_back_to_back(self, carry)
         # Lines 3-9 of Algorithm 5. A run that has ended begins an episode that is not active, which takes no
         # steps.
         training = self.training(carry)
@@ -372,7 +390,7 @@ class LearningRun(Experiment):
         rows["phase"] = (jnp.arange(1 + self.tests) > 0).astype(jnp.int32)
         rows["valid"] = jnp.broadcast_to(active, rows["phase"].shape)
         # A learner with non-finite weights still acts. Only the returns that it expects reveal them.
-        _, expected, _ = self._rows.unpack(episode.rows)
+        _, expected = self._rows.unpack(episode.rows)
         is_step = jnp.arange(len(expected), dtype=jnp.int32) < episode.length
         mean = jnp.sum(jnp.where(is_step, expected, 0.0)) / jnp.maximum(episode.length, 1).astype(self._dtype)
         planned_return = jnp.where(jnp.isfinite(mean), mean, jnp.nan)
@@ -384,7 +402,7 @@ class LearningRun(Experiment):
             found = self._map(learner)
             maps = jnp.where(now.reshape(-1, *[1] * (maps.ndim - 1)), found[None], maps)
             if visits is not None and map_scores is not None:
-                transitions, _, _ = self._rows.unpack(episode.rows)
+                transitions, _ = self._rows.unpack(episode.rows)
                 unit = self.env.observation_space.to_unit(transitions.observation)
                 visits = visits.after(unit, episode.length)
                 map_scores = jnp.where(now[:, None], visits.scores(found[1])[None], map_scores)
@@ -408,7 +426,10 @@ class LearningRun(Experiment):
             map_scores=map_scores,
             counts=self._counted(carry, episode),
         )
-        tables = {"episodes": rows, "steps": self._rows.table(episode.rows, episode.length, number)}
+        tables = {
+            "episodes": rows,
+            "steps": self._rows.table(episode.rows, episode.length[None], number[None]),
+        }
         return after, Records(tables=tables, active_steps=num_steps)
 
     def _counted(self, carry: RunState, episode: EpisodeState) -> dict[str, Int[Array, ""]]:

@@ -109,28 +109,36 @@ class Phase(eqx.Module):
         choice: Choice,
         env_state: EnvState,
         time_step: TimeStep,
-        step: Int[Array, ""],
+        step_in_block: Int[Array, ""],
+        place: Int[Array, ""],
     ) -> EpisodeState:
         """The episode after a step of the environment, from which the learner may learn.
 
-        `env_state` is the state after the step, None if the environment steps on the host. `step` is the
-        number of the step in the episode, from 0.
+        `env_state` is the state after the step, None if the environment steps on the host. `step_in_block` is
+        the number of steps since the last `flush`, and `place` the index of the step in the rows.
         """
         after, counts = apply_transition(self.env, episode, env_state, time_step)
         if episode.repeated is not None:
             after = replace(after, repeated=choice)
         if not self.learns:
             return after
-        transition, exploration, row = self.experience(episode, choice, time_step, counts)
-        step_in_block = step % self.learner.block
+        transition, exploration, row = self.experience(episode, choice, time_step, counts, after.total)
         learner = self.learner.observe(key, episode.learner, transition, exploration, step_in_block)
-        rows = write_row(episode.rows, step, row)
+        rows = write_row(episode.rows, place, row)
         return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
 
     def experience(
-        self, episode: EpisodeState, choice: Choice, time_step: TimeStep, counts: Bool[Array, ""]
+        self,
+        episode: EpisodeState,
+        choice: Choice,
+        time_step: TimeStep,
+        counts: Bool[Array, ""],
+        total: Float[Array, ""],
     ) -> tuple[Transition, ExplorationState, Float[Array, "R"]]:
-        """What the learner learns from a step, if it counts, and the row of the step."""
+        """What the learner learns from a step, if it counts, and the row of the step.
+
+        `total` is the sum of the rewards, with that of the step.
+        """
         transition = Transition(
             observation=episode.observation,
             action=choice.action,
@@ -140,7 +148,7 @@ class Phase(eqx.Module):
         )
         # Non-finite values must not reach the learner: 0 times NaN is NaN.
         transition = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), transition)
-        row = self.rows.pack(transition, choice.expected, self.env.frame(episode.env))
+        row = self.rows.pack(transition, choice.expected, total, self.env.frame(episode.env))
         return transition, self._exploration_if(counts), row
 
     def flush(self, episode: EpisodeState) -> EpisodeState:
@@ -151,7 +159,7 @@ class Phase(eqx.Module):
 
     def end(self, key: Key[Array, ""], episode: EpisodeState) -> LearnerState:
         """The learner after a whole episode from which it learns."""
-        transitions, _, _ = self.rows.unpack(episode.rows)
+        transitions, _ = self.rows.unpack(episode.rows)
         exploration = self._exploration_if(episode.length > 0)
         return self.learner.end_episode(
             key, episode.learner, Episode(transitions, episode.length), exploration
@@ -186,23 +194,36 @@ def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
 
 def run_in_blocks(phase: Phase, episode: EpisodeState) -> EpisodeState:
     """Run an episode, a block of steps at a time, until no lane is active."""
-    block = jnp.arange(phase.learner.block, dtype=jnp.int32)
 
-    def run_step(episode, inputs):
-        key_data, step = inputs
-        keys = jax.random.wrap_key_data(key_data)
-        choice = phase.act(keys[0], episode)
-        env_state, time_step = phase.env.step(keys[1], episode.env, choice.action)
-        return phase.apply(keys[2], episode, choice, env_state, time_step, step), None
-
-    def run_block(loop):
+    def go_on(loop):
         start, episode = loop
-        episode, _ = jax.lax.scan(run_step, episode, (phase.step_keys(start + block), start + block))
-        return start + phase.learner.block, phase.flush(episode)
+        return start + phase.learner.block, run_block(phase, episode, start, jnp.zeros((), jnp.int32))
 
     # The end is checked once a block, by a flag of all lanes: a check makes a GPU wait for the host, and a
     # flag of each lane would put a select of the whole state into every iteration. Steps after the end of a
     # lane do not count. The tests of a run share its learner, which is therefore left as it is.
     batched = batched_together(eqx.tree_at(lambda e: e.learner, episode, None))
     loop = jnp.zeros((), jnp.int32), eqx.combine(batched, episode)
-    return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), run_block, loop)[1]
+    return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), go_on, loop)[1]
+
+
+def run_block(
+    phase: Phase, episode: EpisodeState, start: Int[Array, ""], first: Int[Array, ""]
+) -> EpisodeState:
+    """Run a block of steps of an episode of a compiled environment.
+
+    `start` is the number of steps before the block, and `first` the index of the first step of the episode in
+    its rows.
+    """
+    block = jnp.arange(phase.learner.block, dtype=jnp.int32)
+
+    def run_step(episode, inputs):
+        key_data, step_in_block = inputs
+        keys = jax.random.wrap_key_data(key_data)
+        choice = phase.act(keys[0], episode)
+        env_state, time_step = phase.env.step(keys[1], episode.env, choice.action)
+        place = first + start + step_in_block
+        return phase.apply(keys[2], episode, choice, env_state, time_step, step_in_block, place), None
+
+    episode, _ = jax.lax.scan(run_step, episode, (phase.step_keys(start + block), block))
+    return phase.flush(episode)

@@ -31,12 +31,16 @@ class StepRows(eqx.Module):
     @property
     def width(self) -> int:
         """Size of a row, R."""
-        return 2 * self.observations.num_dims + self.actions.num_dims + 3 + self.frame_size
+        return 2 * self.observations.num_dims + self.actions.num_dims + 4 + self.frame_size
 
     def pack(
-        self, transition: Transition, expected: Float[Array, ""], frame: Float[Array, "Q"] | None
+        self,
+        transition: Transition,
+        expected: Float[Array, ""],
+        total: Float[Array, ""],
+        frame: Float[Array, "Q"] | None,
     ) -> Float[Array, "R"]:
-        """Pack a transition, the return expected of its action, and the frame of its state."""
+        """Pack a transition, the return expected of its action, all rewards so far, and the frame."""
         parts = [
             transition.observation,
             transition.action,
@@ -44,12 +48,19 @@ class StepRows(eqx.Module):
             transition.reward,
             transition.terminated,
             expected,
+            total,
         ]
         parts += [] if frame is None else [frame]
         return jnp.concatenate([jnp.ravel(part).astype(self.dtype) for part in parts])
 
-    def unpack(self, rows: Float[Array, "T R"]) -> tuple[Transition, Float[Array, "T"], Float[Array, "T Q"]]:
-        """The transitions, the returns expected of their actions, and the frames of their states."""
+    def unpack(self, rows: Float[Array, "T R"]) -> tuple[Transition, Float[Array, "T"]]:
+        """The transitions, and the returns expected of their actions."""
+        transitions, expected, _, _ = self._unpacked(rows)
+        return transitions, expected
+
+    def _unpacked(
+        self, rows: Float[Array, "T R"]
+    ) -> tuple[Transition, Float[Array, "T"], Float[Array, "T"], Float[Array, "T Q"]]:
         spaces = self.observations, self.actions, self.observations
         ends = np.cumsum([space.num_dims for space in spaces]).tolist()
         *vectors, rest = jnp.split(rows, ends, axis=1)
@@ -57,22 +68,32 @@ class StepRows(eqx.Module):
             part if isinstance(space, Box) else part[:, 0].astype(jnp.int32)
             for part, space in zip(vectors, spaces, strict=True)
         )
-        return Transition(observation, action, rest[:, 0], after, rest[:, 1] > 0.5), rest[:, 2], rest[:, 3:]
+        transitions = Transition(observation, action, rest[:, 0], after, rest[:, 1] > 0.5)
+        return transitions, rest[:, 2], rest[:, 3], rest[:, 4:]
 
     def table(
-        self, rows: Float[Array, "T R"], length: Int[Array, ""], episode: Int[Array, ""]
+        self, rows: Float[Array, "T R"], lengths: Int[Array, "E"], episodes: Int[Array, "E"]
     ) -> dict[str, Array]:
-        """The rows of an episode in `steps.parquet`."""
-        transitions, expected, frames = self.unpack(rows)
-        number = jnp.arange(len(expected), dtype=jnp.int32) + 1
+        """The rows of successive episodes in `steps.parquet`.
+
+        Args:
+            rows: The steps of all episodes, one episode after the other.
+            lengths: Number of steps of each.
+            episodes: Number of each in its run.
+        """
+        transitions, expected, totals, frames = self._unpacked(rows)
+        index, ends = jnp.arange(len(expected), dtype=jnp.int32), jnp.cumsum(lengths)
+        # The last episode has all rows after the others, of which those beyond its end are not valid.
+        own = jnp.sum(index[:, None] >= ends[None, :-1], axis=1, dtype=jnp.int32)
+        number = index - (ends - lengths)[own] + 1
         columns = {
-            "episode": jnp.broadcast_to(episode, number.shape),
+            "episode": episodes[own],
             "step": number,
             "reward": transitions.reward,
             "planned_reward": expected,
-            "accumulated_reward": jnp.cumsum(transitions.reward),
-            "done": number == length,
-            "valid": number <= length,
+            "accumulated_reward": totals,
+            "done": number == lengths[own],
+            "valid": number <= lengths[own],
         }
         vectors = {"observation": transitions.observation, "action": transitions.action, "qpos": frames}
         for name, values in vectors.items():

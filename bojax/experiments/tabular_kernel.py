@@ -221,7 +221,7 @@ def _step(
     found = time_step.observation, action, after
     if next_row is None:
         return found
-    transition, exploration, packed = phase.experience(own, choice, time_step, counts)
+    transition, exploration, packed = phase.experience(own, choice, time_step, counts, after.total)
     change = phase.learner.change(to_learn, transition, exploration, row, next_row)
     is_state = (own.observation >= 0) & (own.observation < phase.env.observation_space.num)
     is_pair = is_state & (action == choice.action)

@@ -69,6 +69,7 @@ _OVERRIDABLE = (
     "observe",
     "flush",
     "end_episode",
+    "learns_from_episodes",
     "values",
 )
 """Methods that a subclass defines or overrides; of others, it keeps the parameters."""
@@ -155,6 +156,15 @@ class Learner(eqx.Module):
     ) -> LearnerState:
         """Learn from a whole episode, after its last transition has been observed."""
         return state
+
+    @property
+    def learns_from_episodes(self) -> bool:
+        """Whether `end_episode` learns from the transitions of an episode; by default, if it is overridden.
+
+        If not, each lane of a batch may begin its next episode while others are still in the last one, and
+        `end_episode` gets no transitions.
+        """
+        return type(self).end_episode is not Learner.end_episode
 
     def policy_state(self, state: LearnerState) -> LearnerState:
         """The part of the state that is exported. It suffices to act, but not to continue learning.

@@ -79,6 +79,11 @@ class BootstrappedQ(QNetworkLearner):
         best = jnp.argmax(scores)
         return state.actions[best], scores[best]
 
+    @property
+    @override
+    def learns_from_episodes(self) -> bool:
+        return False
+
     @override
     def end_episode(
         self, key: Key[Array, ""], state: QNetworkState, episode: Episode, exploration: ExplorationState

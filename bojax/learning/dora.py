@@ -155,6 +155,11 @@ class DORA(Learner):
             state, table=table, weights=state.weights.at[place].add(steps), next_action=next_action
         )
 
+    @property
+    @override
+    def learns_from_episodes(self) -> bool:
+        return False
+
     @override
     def end_episode(
         self, key: Key[Array, ""], state: DORAState, episode: Episode, exploration: ExplorationState

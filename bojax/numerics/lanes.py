@@ -111,7 +111,9 @@ def write_row(rows: Array, index: Int[Array, ""], row: Array) -> Array:
 def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, row: Array):
     if is_batched[1]:
         axes = [0 if batched else None for batched in is_batched]
-        return jax.vmap(lambda rows, index, row: rows.at[index].set(row), axes)(rows, index, row), True
+        return jax.vmap(lambda rows, index, row: rows.at[index].set(row, mode="promise_in_bounds"), axes)(
+            rows, index, row
+        ), True
     if not is_batched[0]:
         rows = jnp.broadcast_to(rows, (num_lanes, *rows.shape))
     if not is_batched[2]:

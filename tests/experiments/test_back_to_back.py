@@ -1,0 +1,110 @@
+"""Training episodes that lanes begin on their own are those that all lanes begin together."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import bojax.config.catalog  # noqa: F401 (registers every kind)
+from bojax.engine.build import build
+from bojax.experiments import back_to_back
+from bojax.experiments.settings import Learning
+from bojax.numerics.lanes import LANES
+from tests.compiling import REPEATABLY
+
+LANDER = {"kind": "lunar-lander", "max_steps": 150}  # falls after 60 to 150 steps
+
+
+def history(run, lanes=4, advances=None):
+    """Summaries and rows of all advances of some lanes, and the number of advances."""
+    keys = jax.random.split(jax.random.key(3), lanes)
+    carry = jax.vmap(run.init, axis_name=LANES)(keys)
+    advance = jax.jit(jax.vmap(run.advance, axis_name=LANES), compiler_options=REPEATABLY)
+    found, steps = [], np.zeros(lanes, int)
+    for _ in range(advances or run.max_advances):
+        if not advances and np.all(carry.is_done):
+            break
+        carry, records = advance(carry)
+        found.append(jax.tree.map(np.asarray, records.tables))
+        steps += np.asarray(records.active_steps)
+    np.testing.assert_array_equal(steps, carry.steps)
+    tables = [
+        {
+            name: {
+                key: np.concatenate([f[name][key][lane][f[name]["valid"][lane]] for f in found]) for key in of
+            }
+            for name, of in found[0].items()
+        }
+        for lane in range(lanes)
+    ]
+    return carry, jax.vmap(run.summary)(carry), tables, len(found)
+
+
+def run_of(learner, **settings):
+    config = {"env": LANDER, "learner": learner, "episodes": 12, "dtype": "float64"} | settings
+    return build(Learning(**config), "float64")
+
+
+@pytest.mark.parametrize(
+    ("learner", "settings"),
+    [
+        ({"kind": "rff-q", "features": {"num_features": 20}}, {"stop": "first-success"}),
+        ({"kind": "rff-q", "features": {"num_features": 20}}, {"schedule": {"kind": "decay", "rate": 0.3}}),
+        ("dora", {"action_repeat": 3, "starts": "per-run"}),
+        ({"kind": "bootstrapped-q", "width": 8}, {"episodes": 5}),
+    ],
+)
+def test_episodes_do_not_depend_on_those_of_other_lanes(learner, settings, monkeypatch):
+    monkeypatch.setattr(back_to_back, "MOST_STEPS", 500)
+    run = run_of(learner, **settings)
+    assert run.max_advances < run.episodes
+    _, own, tables, few = history(run)
+    monkeypatch.setattr(back_to_back, "MOST_STEPS", 1)
+    together = run_of(learner, **settings)
+    assert together.max_advances == together.episodes
+    _, expected, expected_tables, many = history(together)
+    assert few < many
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9), own, expected)
+    lengths = [len(of["episodes"]["length"]) for of in tables]
+    assert len({tuple(of["episodes"]["length"]) for of in tables}) == len(tables) and min(lengths) > 1
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9), tables, expected_tables)
+
+
+def test_an_advance_has_no_more_episodes_and_steps_than_there_is_room_for(monkeypatch):
+    monkeypatch.setattr(back_to_back, "MOST_EPISODES", 3)
+    run = run_of("dora", env=LANDER | {"max_steps": 10}, episodes=8)
+    carry, _, tables, _ = history(run, advances=1)
+    np.testing.assert_array_equal(carry.episode, 3)
+    assert all(list(of["episodes"]["length"]) == [10, 10, 10] for of in tables)
+    carry, _, _, _ = history(run, advances=3)
+    np.testing.assert_array_equal(carry.episode, 8)
+    assert run.max_advances == 3 and np.all(carry.is_done)
+
+
+def test_a_run_that_has_ended_stays_as_it_is():
+    run = run_of("dora", episodes=3)
+    carry, _, _, _ = history(run)
+    after, records = jax.jit(jax.vmap(run.advance, axis_name=LANES))(carry)
+    assert not np.any(records.tables["episodes"]["valid"]) and not np.any(records.tables["steps"]["valid"])
+    np.testing.assert_array_equal(records.active_steps, 0)
+    before, after = (jax.tree.map(_plain, state) for state in (carry, after))
+    jax.tree.map(np.testing.assert_array_equal, after, before)
+
+
+def _plain(leaf):
+    return jax.random.key_data(leaf) if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"learner": "emu-q"},  # refits after an episode
+        {"tests": 1},
+        {"map_episodes": [1]},
+        {"env": {"kind": "lunar-lander", "max_steps": 1200}},  # two have no room
+        {"env": "taxi", "learner": "epsilon-greedy"},  # an episode is a kernel
+    ],
+)
+def test_lanes_end_their_episodes_together_where_that_is_better(settings):
+    run = run_of(**({"learner": "dora"} | settings))
+    assert run.max_advances == run.episodes and run.steps_per_advance == run.env.max_steps
