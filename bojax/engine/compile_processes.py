@@ -16,8 +16,10 @@ import queue
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -104,6 +106,7 @@ class CompileProcesses:
 
     def __init__(self, number: int):
         self._idle: queue.SimpleQueue[subprocess.Popen[bytes]] = queue.SimpleQueue()
+        self._begun: dict[str | None, Future[None]] = {}
         platform = "cpu" if setting("jax_platforms") == "cpu" else "auto"
         command = [sys.executable, "-P", "-m", __name__, platform, str(folder_of(""))]
         path = [str(Path(bojax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -126,12 +129,38 @@ class CompileProcesses:
             self._send(child, _flags())
             self._idle.put(child)
 
-    def compile(self, request: Request) -> float:
-        """Compile programs in an idle process; returns the seconds that it took, 0 if none could do it."""
+    def begin(self, request: Request) -> bool:
+        """Begin to compile programs in an idle process, for which `compile` then waits; False if none is."""
         try:
             child = self._idle.get_nowait()
-        except queue.Empty:  # more threads than processes, or the processes have ended
-            return 0.0
+        except queue.Empty:
+            return False
+        self._begun[request.key] = begun = Future[None]()
+
+        def work() -> None:
+            self._compile_in(child, request)
+            begun.set_result(None)
+
+        threading.Thread(target=work, daemon=True).start()
+        return True
+
+    def compile(self, request: Request) -> float:
+        """Compile programs in an idle process; returns the seconds that it took, 0 if none could do it."""
+        if begun := self._begun.get(request.key):
+            start = time.perf_counter()
+            begun.result()
+            return time.perf_counter() - start
+        while True:
+            try:
+                return self._compile_in(self._idle.get_nowait(), request)
+            except queue.Empty:  # more threads than processes, or the processes have ended
+                begun = {each for each in self._begun.values() if not each.done()}
+                if not begun:
+                    return 0.0
+                wait(begun, return_when=FIRST_COMPLETED)
+
+    def _compile_in(self, child: subprocess.Popen[bytes], request: Request) -> float:
+        """Compile programs in a process, which is idle afterwards; returns the seconds, 0 if it failed."""
         start = time.perf_counter()
         try:
             self._send(child, request)

@@ -39,6 +39,7 @@ def execute(
     workers: Sequence[Device],
     progress: SweepProgress,
     stop: Callable[[], bool],
+    processes: CompileProcesses | None = None,
 ) -> Iterator[GroupTask]:
     """Run the chunks of all tasks, and yield each task when all its chunks are done or have failed.
 
@@ -49,13 +50,14 @@ def execute(
         workers: The device of each worker thread.
         progress: Where progress is reported.
         stop: Whether a stop is requested.
+        processes: Child processes that compile already; by default some are started if that is worth it.
 
     Raises:
         ResultsError: A sink cannot be written or read. All other chunks are paused first.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, SWITCH_SECONDS))
-    executor = _Executor(tasks, workers, progress, stop)
+    executor = _Executor(tasks, workers, progress, stop, processes)
     try:
         yield from executor.finished_tasks()
     finally:
@@ -74,6 +76,7 @@ class _Executor:
         workers: Sequence[Device],
         progress: SweepProgress,
         stop: Callable[[], bool],
+        processes: CompileProcesses | None,
     ):
         # An error that ends the sweep: of the results folder, or a mistake in the engine
         self.error: BaseException | None = None
@@ -89,8 +92,8 @@ class _Executor:
             is_ready=self._compiler.is_ready,
             is_saved=lambda key: program_cache.is_saved(key.name),
         )
-        new = [task for task in tasks if _is_new(task.key(self._scheduler.first(task)))]
-        self._processes = CompileProcesses(number_of_processes(len(new), workers))
+        new = [task for task in tasks if task.key(self._scheduler.first(task)).is_new]
+        self._processes = processes or CompileProcesses(number_of_processes(len(new), workers))
         for device in dict.fromkeys(workers):
             offer_shipped(device)  # while they start: each would write thousands of files, all at once
         self._locks = {device: new_lock(device) for device in workers}
@@ -161,7 +164,7 @@ class _Executor:
 
     def _compile_elsewhere(self, key: ProgramKey, started: Callable[[], None]) -> float:
         """Have a child process compile programs that are new; returns its seconds."""
-        if not self._processes or not _is_new(key):
+        if not self._processes or not key.is_new:
             return 0.0
         started()
         seconds = self._processes.compile(Request.of(key))
@@ -307,8 +310,3 @@ class _Executor:
             self.error = problem
             return
         self._progress.failed(task.progress, sum(chunk.num_runs for chunk in chunks), message)
-
-
-def _is_new(key: ProgramKey) -> bool:
-    """Whether programs can be in the cache, but are not."""
-    return key.name is not None and not program_cache.is_saved(key.name)

@@ -8,6 +8,8 @@ from typing import Any
 from bojax.config.errors import ConfigError, say
 from bojax.config.points import Sweep
 from bojax.config.settings import Platform
+from bojax.engine.ahead import Ahead
+from bojax.engine.compile_processes import CompileProcesses
 from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely
@@ -54,18 +56,25 @@ def run_sweeps(
                 return run_remotely(targets, invocation, launcher)
             prepare(device)
             devices = choose(find_devices(device), indices)
-            return _run(targets, devices, invocation, planned)
+            with Ahead(devices) as ahead:
+                return _run(targets, devices, invocation, planned, ahead)
     except UserError as error:
         say(f"error: {error}")
         return error.exit_code
 
 
 def _run(
-    targets: Sequence[Target], devices: Sequence[Device], invocation: Invocation, planned: Callable[[], Any]
+    targets: Sequence[Target],
+    devices: Sequence[Device],
+    invocation: Invocation,
+    planned: Callable[[], Any],
+    ahead: Ahead,
 ) -> int:
     """Plan the sweeps, run those that are not finished, and return the exit code."""
     start = time.monotonic()
-    unfinished = plan_unfinished(targets, devices, invocation.finish)
+    # A single sweep is executed as soon as it is planned.
+    offer = ahead.offer if len(targets) > 1 else lambda _: None
+    unfinished = plan_unfinished(targets, devices, invocation.finish, offer)
     runs = [SweepRun(plan, target, invocation.command) for target, plan in unfinished]
     for run in runs:
         run.note_seconds("planning", runs[0].planned - start)
@@ -74,7 +83,7 @@ def _run(
         for run in runs:
             run.open()
         if runs:
-            _execute(runs, devices, invocation)
+            _execute(runs, devices, invocation, ahead.processes)
         return invocation.exit_code(runs) if runs else 0
     finally:
         for run in runs:
@@ -90,12 +99,18 @@ def _common_device(sweeps: Sequence[Sweep]) -> Platform:
     return sweeps[0].engine.device
 
 
-def _execute(runs: Sequence[SweepRun], devices: Sequence[Device], invocation: Invocation) -> None:
+def _execute(
+    runs: Sequence[SweepRun],
+    devices: Sequence[Device],
+    invocation: Invocation,
+    processes: CompileProcesses,
+) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
     several = len(runs) > 1
     storages = {run.launch(): run for run in runs}
     by_sweep = {
-        run: tasks_of(storage, run.plan.chunks, name_sweep=several) for storage, run in storages.items()
+        run: tasks_of(run.plan, storage.unfinished(run.plan.chunks), storage, name_sweep=several)
+        for storage, run in storages.items()
     }
     run_of = {task: run for run, tasks in by_sweep.items() for task in tasks}
     tasks = longest_first(by_sweep.values())
@@ -105,7 +120,7 @@ def _execute(runs: Sequence[SweepRun], devices: Sequence[Device], invocation: In
     workers = workers_for(tasks, devices)
     owned = {storage: run.plan.chunks for storage, run in storages.items()}
     with progress_of(owned, tasks) as progress:
-        for task in execute(tasks, workers, progress, invocation.stop.__bool__):
+        for task in execute(tasks, workers, progress, invocation.stop.__bool__, processes):
             run = run_of[task]
             left[run] -= 1
             if not left[run] and several:

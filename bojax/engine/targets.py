@@ -72,20 +72,24 @@ def plan_unfinished(
     targets: Sequence[Target],
     devices: Sequence[Device],
     finish: Callable[[Path], Any],
+    planned: Callable[[Plan], Any] = lambda _: None,
 ) -> list[tuple[Target, Plan]]:
-    """Plan all sweeps, and return those that are not finished yet, with their plans.
+    """Plan all sweeps, the longest first, and return those that are not finished yet, with their plans.
 
     Args:
         targets: The sweeps with their folders.
         devices: The devices of this process.
         finish: Called with the results folder of each sweep that is finished already.
+        planned: Called with the plan of each sweep that begins.
 
     Raises:
         ConfigError: A sweep cannot be built.
         ResultsError: A finished sweep is another one, or a saved learner cannot be read.
     """
-    unfinished = []
-    for target in targets:
+    unfinished: dict[Path, Plan] = {}
+    for target in sorted(
+        targets, key=lambda target: 0 if target.is_resumed else -_rough_length(target.sweep)
+    ):
         plan = make_plan(target.sweep, _devices_of(target, devices))
         if target.is_resumed and not is_unfinished(target.path):
             check_finished(target.path, plan.content)
@@ -93,8 +97,19 @@ def plan_unfinished(
             print(f"{target.path}: already finished")
             finish(target.path)
         else:
-            unfinished.append((target, plan))
-    return unfinished
+            unfinished[target.path] = plan
+            if not target.is_resumed:
+                planned(plan)
+    return [(target, unfinished[target.path]) for target in targets if target.path in unfinished]
+
+
+def _rough_length(sweep: Sweep) -> int:
+    """Roughly the number of environment steps of a sweep, from its settings alone."""
+    length = 0
+    for point in sweep.points:
+        steps = getattr(getattr(point.config, "env", None), "max_steps", None)
+        length += sweep.runs * getattr(point.config, "episodes", 1) * (steps or 1)
+    return length
 
 
 def _devices_of(target: Target, devices: Sequence[Device]) -> Sequence[Device]:

@@ -6,12 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from bojax.engine import program_cache
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
 from bojax.engine.devices import Device, of_platform, workers_of
 from bojax.engine.gpu_clients import clients_of
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
+from bojax.engine.plan import Plan
 from bojax.engine.progress import GroupProgress, SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.storage import FolderStorage, Storage
@@ -72,18 +74,26 @@ class ProgramKey(NamedTuple):
         task, device, width = self
         return task.kind.key_of(task.group, device, width, task.recorded, task.layout.wider(width))
 
+    @property
+    def is_new(self) -> bool:
+        """Whether they can be in the cache, but are not."""
+        return self.name is not None and not program_cache.is_saved(self.name)
 
-def tasks_of(storage: FolderStorage, chunks: Sequence[Chunk], *, name_sweep: bool = False) -> list[GroupTask]:
+
+def tasks_of(
+    plan: Plan, chunks: Iterable[Chunk], storage: Storage, *, name_sweep: bool = False
+) -> list[GroupTask]:
     """The groups of a sweep that have chunks to run.
 
     Args:
-        storage: Where the rows of the chunks go.
-        chunks: The chunks that this process owns; those that have ended are left out.
+        plan: The plan of the sweep.
+        chunks: The chunks to run.
+        storage: Where their rows go.
         name_sweep: Whether messages name the sweep.
     """
-    plan, engine = storage.plan, storage.plan.sweep.engine
+    engine = plan.sweep.engine
     by_group: dict[int, deque[Chunk]] = {}
-    for chunk in storage.unfinished(chunks):
+    for chunk in chunks:
         by_group.setdefault(chunk.group, deque()).append(chunk)
     recorded = dict.fromkeys(by_group, 0)  # of all chunks, so that all processes have the same programs
     for chunk in plan.chunks:

@@ -76,7 +76,7 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
         tasks = [
             task
             for storage, chunks in owned.items()
-            for task in tasks_of(storage, chunks, name_sweep=several)
+            for task in tasks_of(storage.plan, storage.unfinished(chunks), storage, name_sweep=several)
         ]
         workers = workers_for(tasks, devices, options.cores)
         with progress_of(owned, tasks) as progress:

@@ -1,11 +1,16 @@
 """Child processes compile what the parent then loads; without them, the parent compiles by itself."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import jax
 import pytest
 
 from bojax.config.sweep import load_sweep
 from bojax.engine import batch, compile_processes
 from bojax.engine.compile_processes import CompileProcesses, number_of_processes
+from bojax.engine.run import run_sweeps
+from bojax.engine.targets import Request
 from tests.engine.drive import contents, run_sweep
 from tests.engine.test_program_cache import caching_in
 from tests.tiers import by_tier
@@ -59,6 +64,47 @@ def test_the_parent_compiles_nothing_and_writes_the_same_bytes(enough, tmp_path)
         assert run_sweep(chains(), tmp_path / "alone") == 0
     assert batch.compile_counts.total() > before
     assert contents(tmp_path / "beside") == contents(tmp_path / "alone")
+
+
+def test_groups_are_compiled_while_other_sweeps_are_planned(enough, here, monkeypatch):
+    begun, begin = [], CompileProcesses.begin
+    monkeypatch.setattr(
+        CompileProcesses, "begin", lambda self, request: begin(self, request) and not begun.append(request)
+    )
+    (here / "others.yaml").write_text(
+        "{base: chain, axes: {episodes: [3], env.max_length: [6], env.length: [3]}}"
+    )
+    sweeps = [chains(), load_sweep("others.yaml", [], 2, None)]
+    before = batch.compile_counts.total()
+    requests = [Request(sweep, here / sweep.name) for sweep in sweeps]
+    assert run_sweeps(requests, False, ["bojax"]) == 0
+    assert batch.compile_counts.total() == before
+    assert len(begun) == len({request.key for request in begun}) > 1
+
+
+def test_who_asks_for_programs_that_are_begun_waits_for_them(enough, monkeypatch):
+    first, second = (compile_processes.Request._make([None] * 8 + [key]) for key in ("first", "second"))
+    go_on, compiled = threading.Event(), []
+
+    def compile_in(self, child, request):
+        if request is first:
+            assert go_on.wait(60.0)
+        compiled.append(request)
+        self._idle.put(child)
+        return 1.0
+
+    monkeypatch.setattr(CompileProcesses, "_compile_in", compile_in)
+    processes = CompileProcesses(1)
+    try:
+        assert processes.begin(first) and not processes.begin(second)
+        with ThreadPoolExecutor() as pool:
+            same, other = pool.submit(processes.compile, first), pool.submit(processes.compile, second)
+            assert not (same.done() or other.done())
+            go_on.set()
+            assert same.result(60.0) >= 0.0 and other.result(60.0) == 1.0
+        assert compiled == [first, second]
+    finally:
+        processes.close()
 
 
 @pytest.mark.parametrize("fault", by_tier(["dies", "refuses"], normal=["dies"]))
