@@ -112,8 +112,8 @@ def _first(run: "LearningRun", carry: "RunState", room: int) -> _Lane:
 
     num_rows = min(run.episodes, MOST_EPISODES, room)
     phase, episode, row = eqx.filter_eval_shape(empty)
-    episode = jax.tree.map(jnp.empty_like, episode)
-    table = {name: jnp.empty((num_rows,), of.dtype) for name, of in row.items()}
+    episode = jax.tree.map(_zeros, episode)
+    table = {name: jnp.zeros((num_rows,), of.dtype) for name, of in row.items()}
     phase, zero = run.training(carry), jnp.zeros((), jnp.int32)
     return _Lane(
         run=_without_key(replace(carry, learner=None)),
@@ -166,6 +166,12 @@ def _turn(run: "LearningRun", key: Key[Array, ""], lane: _Lane, rows: Array, roo
 
 def _without_key(run: "RunState") -> "RunState":
     return eqx.tree_at(lambda run: run.key, run, None)
+
+
+def _zeros(like: jax.ShapeDtypeStruct) -> Array:
+    # Of keys there are no zeros, and nothing reads one before it is set. On a GPU, an empty array has any values.
+    is_key = jnp.issubdtype(like.dtype, jax.dtypes.prng_key)
+    return jnp.empty_like(like) if is_key else jnp.zeros_like(like)
 
 
 def _alone(episode: EpisodeState) -> EpisodeState:
