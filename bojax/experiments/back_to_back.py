@@ -137,10 +137,9 @@ def _turn(run: "LearningRun", key: Key[Array, ""], lane: _Lane, rows: Array, roo
     before = lane.run_with(key)
     closed, records = run.close(before, replace(episode, rows=own), None, None)
     row = {name: column[0] for name, column in records.tables["episodes"].items()}
-    table = {
-        name: column.at[lane.count].set(jnp.where(ends, row[name], column[lane.count]))
-        for name, column in lane.table.items()
-    }
+    # A choice in every row: one kernel, where to write a single row would be one of each column.
+    is_place = ends & (jnp.arange(len(lane.table["valid"]), dtype=jnp.int32) == lane.count)
+    table = {name: jnp.where(is_place, row[name], column) for name, column in lane.table.items()}
     after = _where(ends, closed, before)
     count = lane.count + ends.astype(jnp.int32)
     first = lane.first + jnp.where(ends, episode.length, 0)
@@ -169,7 +168,7 @@ def _without_key(run: "RunState") -> "RunState":
 
 
 def _zeros(like: jax.ShapeDtypeStruct) -> Array:
-    # Of keys there are no zeros, and nothing reads one before it is set. On a GPU, an empty array has any values.
+    # An empty array has any values on a GPU. There are no zeros of keys, and none is read before it is set.
     is_key = jnp.issubdtype(like.dtype, jax.dtypes.prng_key)
     return jnp.empty_like(like) if is_key else jnp.zeros_like(like)
 
