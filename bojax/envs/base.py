@@ -4,6 +4,7 @@ import abc
 from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.adapter import Adapter
@@ -93,6 +94,14 @@ class Env(eqx.Module):
         """Numbers of a state that an animation needs besides observations; recorded with the steps."""
         return None
 
+    @property
+    def frame_size(self) -> int:
+        """Size of `frame`; 0 without one. By default it is traced, with `reset`, if there is one."""
+        if type(self).frame is Env.frame:
+            return 0
+        frame = eqx.filter_eval_shape(_first_frame, self, jax.eval_shape(jax.random.key, 0))
+        return 0 if frame is None else frame.size
+
     def counts(self, state: EnvState) -> dict[str, Int[Array, ""]]:
         """Numbers of events since `reset`, by column of `count_columns`; summed over training."""
         return {}
@@ -100,3 +109,9 @@ class Env(eqx.Module):
     @abc.abstractmethod
     def step(self, key: Key[Array, ""], state: EnvState, action: Action) -> tuple[EnvState, TimeStep]:
         """The next state after an action, and the result of the step."""
+
+
+@eqx.filter_jit  # traced once for all environments of one structure
+def _first_frame(env: Env, key: Key[Array, ""]) -> Float[Array, "Q"] | None:
+    """The frame of an initial state."""
+    return env.frame(env.reset(key))

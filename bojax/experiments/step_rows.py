@@ -1,10 +1,9 @@
 """The steps of an episode as rows of numbers, and their columns in `steps.parquet`."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int
 
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Space
@@ -23,10 +22,8 @@ class StepRows(eqx.Module):
     @classmethod
     def of(cls, env: Env, dtype: jnp.dtype) -> "StepRows":
         """The layout for the transitions of an environment."""
-        frame = None
-        if not env.is_hosted:
-            frame = eqx.filter_eval_shape(_first_frame, env, jax.eval_shape(jax.random.key, 0))
-        return cls(env.observation_space, env.action_space, 0 if frame is None else frame.size, dtype)
+        frame_size = 0 if env.is_hosted else env.frame_size
+        return cls(env.observation_space, env.action_space, frame_size, dtype)
 
     @property
     def width(self) -> int:
@@ -115,12 +112,6 @@ class StepRows(eqx.Module):
             for name, size in sizes.items()
             for i in range(size)
         )
-
-
-@eqx.filter_jit  # traced once for all environments of one structure
-def _first_frame(env: Env, key: Key[Array, ""]) -> Float[Array, "Q"] | None:
-    """The frame of an initial state."""
-    return env.frame(env.reset(key))
 
 
 _STEP_COLUMNS: Table = (

@@ -173,10 +173,11 @@ def test_they_compute_in_the_precision_of_the_run(schema):
     def one_step(key):
         state = env.of_run(key).reset(key)
         after, transition = env.step(key, state, env.action_space.high)
-        return state, after, transition
+        return state, after, transition, env.frame(state)
 
     with jax.debug_key_reuse(False):
-        state, after, transition = jax.eval_shape(one_step, jax.random.key(0))
+        state, after, transition, frame = jax.eval_shape(one_step, jax.random.key(0))
+    assert frame.shape == (env.frame_size,)
     assert jax.tree.structure(state) == jax.tree.structure(after)
     assert [leaf.dtype for leaf in jax.tree.leaves(state)] == [leaf.dtype for leaf in jax.tree.leaves(after)]
     assert transition.observation.dtype == transition.reward.dtype == jnp.float64

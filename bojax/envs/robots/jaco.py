@@ -149,6 +149,11 @@ class Jaco(RobotTask):
     def moved(self, state: JacoState, robot: RobotState) -> JacoState:
         return JacoState(robot, state.target)
 
+    @property
+    @override
+    def frame_size(self) -> int:
+        return self.simulator.mujoco_model.nq + 3
+
     @override
     def mocap_positions(self, state: JacoState) -> Float[Array, "3"]:
         # Animations draw the target at the position of the mocap body.
