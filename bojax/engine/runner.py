@@ -283,7 +283,7 @@ class ChunkRunner:
                     self._sink.write_snapshot(point, run, name, kept)
         if any(run < self._sink.saved_learners for _, _, run in keys):
             learned = self._programs.exported_state(self._carry, self._lanes)
-            for lane, point, run in keys if jax.tree.leaves(learned) else ():
+            for lane, point, run in keys:
                 if run < self._sink.saved_learners:
                     of_run = jax.tree.map(lambda leaf, lane=lane: leaf[lane], learned)
                     self._sink.write_learner(point, run, of_run)

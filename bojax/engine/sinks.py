@@ -86,7 +86,8 @@ class FolderSink(Sink):
 
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
-        self._learned.add(point, run, learned)
+        if jax.tree.leaves(learned):  # there is no file of nothing
+            self._learned.add(point, run, learned)
 
     @override
     def save(self, carry: Carry) -> None:

@@ -77,6 +77,12 @@ def test_a_callback_gets_the_rows_of_each_episode(trained):
     assert again.episodes.equals(trained.episodes)
 
 
+def test_a_callback_gets_one_episode_at_a_time_of_runs_that_do_not_wait_for_each_other():
+    parts = []
+    train(CHAIN, "dora", runs=2, episodes=5, callback=parts.append)
+    assert [part["episode"].to_pylist() for part in parts] == [[number] * 2 for number in range(1, 6)]
+
+
 def test_an_exception_in_the_callback_ends_the_training():
     calls = []
 
@@ -87,6 +93,11 @@ def test_an_exception_in_the_callback_ends_the_training():
     with pytest.raises(StopIteration, match="enough"):
         train(CHAIN, "additive", runs=3, callback=fail, **HOW)
     assert len(calls) == 1
+
+
+def test_a_learner_may_have_no_state():
+    policy = train(CHAIN, "random", runs=2, episodes=2).policy(run=1)
+    assert {int(policy(0)) for _ in range(20)} == {0, 1}
 
 
 def test_it_stops_at_the_first_success():
