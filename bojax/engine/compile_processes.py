@@ -106,7 +106,7 @@ class CompileProcesses:
 
     def __init__(self, number: int):
         self._idle: queue.SimpleQueue[subprocess.Popen[bytes]] = queue.SimpleQueue()
-        self._begun: dict[str | None, Future[None]] = {}
+        self._begun: dict[str | None, Future[float]] = {}
         platform = "cpu" if setting("jax_platforms") == "cpu" else "auto"
         command = [sys.executable, "-P", "-m", __name__, platform, str(folder_of(""))]
         path = [str(Path(bojax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -135,11 +135,13 @@ class CompileProcesses:
             child = self._idle.get_nowait()
         except queue.Empty:
             return False
-        self._begun[request.key] = begun = Future[None]()
+        self._begun[request.key] = begun = Future[float]()
 
         def work() -> None:
-            self._compile_in(child, request)
-            begun.set_result(None)
+            try:
+                begun.set_result(self._compile_in(child, request))
+            except BaseException as error:  # for who waits for it
+                begun.set_exception(error)
 
         threading.Thread(target=work, daemon=True).start()
         return True
@@ -147,9 +149,7 @@ class CompileProcesses:
     def compile(self, request: Request) -> float:
         """Compile programs in an idle process; returns the seconds that it took, 0 if none could do it."""
         if begun := self._begun.get(request.key):
-            start = time.perf_counter()
-            begun.result()
-            return time.perf_counter() - start
+            return begun.result()
         while True:
             try:
                 return self._compile_in(self._idle.get_nowait(), request)

@@ -120,6 +120,8 @@ def train(
     settings = {"episodes": episodes, "stop": stop, "tests": tests, "dtype": dtype}
     with same_draws():
         experiment = build(named("experiment", {"kind": "learning", **parts, **settings}), dtype)
+        if callback is not None:
+            experiment = experiment.one_by_one()
         sinks = _run(experiment, runs, seed, callback)
     tables = {
         name: pa.concat_tables(part for sink in sinks for part in sink.tables[name]).drop_columns("point")

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, Key, PyTree, UInt32
+import numpy as np
+from jaxtyping import Array, ArrayLike, Bool, Int, Key, PyTree, UInt32
 
 from bojax.experiments.base import Records
 from bojax.experiments.episode import EpisodeState
@@ -104,29 +105,26 @@ def run_back_to_back(run: "LearningRun", carry: "RunState") -> tuple["RunState",
 def _first(run: "LearningRun", carry: "RunState", room: int) -> _Lane:
     """A lane before its first episode, in which nothing has a value yet."""
 
-    def empty() -> tuple[Phase, EpisodeState, dict[str, Array]]:
+    def begin() -> tuple[EpisodeState, dict[str, Array]]:
         phase = run.training(carry)
         episode = phase.begin(carry.learner, *run.reset(carry, phase), ~carry.is_done)
-        row = run.close(carry, episode, carry.learner, None)[1].tables["episodes"]
-        return phase, _alone(episode), row
+        return _alone(episode), run.close(carry, episode, carry.learner, None)[1].tables["episodes"]
 
+    episode, row = jax.eval_shape(begin)
     num_rows = min(run.episodes, MOST_EPISODES, room)
-    phase, episode, row = eqx.filter_eval_shape(empty)
-    episode = jax.tree.map(_zeros, episode)
-    table = {name: jnp.zeros((num_rows,), of.dtype) for name, of in row.items()}
     phase, zero = run.training(carry), jnp.zeros((), jnp.int32)
     return _Lane(
         run=_without_key(replace(carry, learner=None)),
-        episode=episode,
+        episode=jax.tree.map(_zeros, episode),
         acting=phase.acting,
         exploration=phase.exploration,
         key=jax.random.key_data(phase.key),
-        waits=~carry.is_done,
+        waits=jnp.ones((), bool),
         is_open=jnp.zeros((), bool),
         step=zero,
         first=zero,
         count=zero,
-        table=table,
+        table={name: jnp.zeros((num_rows,), column.dtype) for name, column in row.items()},
     )
 
 
@@ -144,13 +142,14 @@ def _turn(run: "LearningRun", key: Key[Array, ""], lane: _Lane, rows: Array, roo
     count = lane.count + ends.astype(jnp.int32)
     first = lane.first + jnp.where(ends, episode.length, 0)
     has_room = (first + longest <= room) & (count < len(table["valid"]))
-    begins = lane.waits | (ends & ~after.is_done & has_room)
+    begins = (lane.waits | ends) & ~after.is_done & has_room
     phase = run.training(after)
     new = _alone(phase.begin(None, *run.reset(after, phase), begins))
     acting, exploration = _where(begins, (phase.acting, phase.exploration), (lane.acting, lane.exploration))
     return _Lane(
         run=_without_key(after),
-        episode=_where(begins, new, episode),
+        # Also the first one of a run that has ended, so that no step is computed of zeros.
+        episode=_where(lane.waits | begins, new, episode),
         acting=acting,
         exploration=exploration,
         key=jnp.where(begins, jax.random.key_data(phase.key), lane.key),
@@ -167,10 +166,11 @@ def _without_key(run: "RunState") -> "RunState":
     return eqx.tree_at(lambda run: run.key, run, None)
 
 
-def _zeros(like: jax.ShapeDtypeStruct) -> Array:
-    # An empty array has any values on a GPU. There are no zeros of keys, and none is read before it is set.
-    is_key = jnp.issubdtype(like.dtype, jax.dtypes.prng_key)
-    return jnp.empty_like(like) if is_key else jnp.zeros_like(like)
+def _zeros(like: jax.ShapeDtypeStruct) -> ArrayLike:
+    """Anything of a shape and a dtype, which is set before it is read; a number where JAX has a number."""
+    if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
+        return jnp.empty_like(like)
+    return np.zeros((), like.dtype).item() if like.weak_type and not like.shape else jnp.zeros_like(like)
 
 
 def _alone(episode: EpisodeState) -> EpisodeState:

@@ -1,6 +1,7 @@
 """A learning run (thesis, Algorithm 5): training episodes of a learner, each followed by test episodes."""
 
 import contextlib
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Literal, TypeAlias
@@ -131,6 +132,8 @@ class LearningRun(Experiment):
     tests_learn: Bool[Array, ""] | None = eqx.field(converter=_exploring)
     map_episodes: tuple[int, ...] = eqx.field(static=True)
     map_resolution: int = eqx.field(static=True)
+    # Whether an advance is a single episode also where it could be several, see `one_by_one`
+    is_one_by_one: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         """Check the environment, the learner in it, and the schedule, or raise ValueError."""
@@ -149,6 +152,12 @@ class LearningRun(Experiment):
         """The run with values of the settings of the learner that are left to the environment."""
         learner = self.learner.fitted(self.env.observation_space, self.env.action_space)
         return eqx.tree_at(lambda run: run.learner, self, learner)
+
+    def one_by_one(self) -> "LearningRun":
+        """The same run, with an advance for each episode."""
+        run = copy.copy(self)
+        object.__setattr__(run, "is_one_by_one", True)  # a copy by way of `__init__` would be checked anew
+        return run
 
     @property
     @override
@@ -207,7 +216,7 @@ class LearningRun(Experiment):
         episodes. An episode of a tabular learner is a kernel, in which no lane waits for others.
         """
         are_together = self.tests or self.map_episodes or self.is_hosted or self.learner.learns_from_episodes
-        if are_together or isinstance(self.learner, TabularLearner):
+        if are_together or isinstance(self.learner, TabularLearner) or self.is_one_by_one:
             return 1
         return min(episodes_in_advance(self.env.max_steps), self.episodes)
 

@@ -82,7 +82,7 @@ class BootstrappedQ(QNetworkLearner):
     @property
     @override
     def learns_from_episodes(self) -> bool:
-        return False
+        return type(self).end_episode is not BootstrappedQ.end_episode
 
     @override
     def end_episode(

@@ -158,7 +158,7 @@ class DORA(Learner):
     @property
     @override
     def learns_from_episodes(self) -> bool:
-        return False
+        return type(self).end_episode is not DORA.end_episode
 
     @override
     def end_episode(

@@ -101,8 +101,23 @@ def test_who_asks_for_programs_that_are_begun_waits_for_them(enough, monkeypatch
             same, other = pool.submit(processes.compile, first), pool.submit(processes.compile, second)
             assert not (same.done() or other.done())
             go_on.set()
-            assert same.result(60.0) >= 0.0 and other.result(60.0) == 1.0
+            assert same.result(60.0) == other.result(60.0) == 1.0
         assert compiled == [first, second]
+    finally:
+        processes.close()
+
+
+def test_an_error_while_programs_are_begun_reaches_who_asks_for_them(enough, monkeypatch):
+    def fail(*_):
+        raise TypeError("cannot pickle")
+
+    monkeypatch.setattr(CompileProcesses, "_compile_in", fail)
+    processes = CompileProcesses(1)
+    request = compile_processes.Request._make([None] * 8 + ["first"])
+    try:
+        assert processes.begin(request)
+        with pytest.raises(TypeError, match="cannot pickle"):
+            processes.compile(request)
     finally:
         processes.close()
 

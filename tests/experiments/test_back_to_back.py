@@ -1,14 +1,19 @@
 """Training episodes that lanes begin on their own are those that all lanes begin together."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array, Float
 
 import bojax.config.catalog  # noqa: F401 (registers every kind)
 from bojax.engine.build import build
+from bojax.envs.base import Env, TimeStep
+from bojax.envs.spaces import Box
 from bojax.experiments import back_to_back
 from bojax.experiments.settings import Learning
+from bojax.learning.dora import DORA
 from bojax.numerics.lanes import LANES
 from tests.compiling import REPEATABLY
 
@@ -59,8 +64,7 @@ def test_episodes_do_not_depend_on_those_of_other_lanes(learner, settings, monke
     run = run_of(learner, **settings)
     assert run.max_advances < run.episodes
     _, own, tables, few = history(run)
-    monkeypatch.setattr(back_to_back, "MOST_STEPS", 1)
-    together = run_of(learner, **settings)
+    together = run.one_by_one()
     assert together.max_advances == together.episodes
     _, expected, expected_tables, many = history(together)
     assert few < many
@@ -89,6 +93,63 @@ def test_a_run_that_has_ended_stays_as_it_is():
     np.testing.assert_array_equal(records.active_steps, 0)
     before, after = (jax.tree.map(_plain, state) for state in (carry, after))
     jax.tree.map(np.testing.assert_array_equal, after, before)
+
+
+class Walk(Env):
+    """A walk whose state has a number, and whose step never ends from a state of zeros."""
+
+    power: Float[Array, ""]
+    max_steps: int = eqx.field(static=True, default=40)
+
+    @property
+    def observation_space(self):
+        return Box(-jnp.ones(1, self.power.dtype), jnp.ones(1, self.power.dtype))
+
+    action_space = observation_space
+
+    def reset(self, key):
+        return {"place": jax.random.uniform(key, (1,), self.power.dtype, -0.9, 0.5), "size": 0.1, "steps": 0}
+
+    def observe(self, state):
+        return state["place"]
+
+    def step(self, key, state, action):
+        size = jax.lax.while_loop(
+            lambda x: x < 1.0, lambda x: 2.0 * x, jnp.asarray(state["size"], self.power.dtype)
+        )
+        noise = jax.random.normal(key, (1,), self.power.dtype)
+        place = state["place"] + 0.1 * size * (self.power * action + noise)
+        outside = jnp.abs(place[0]) > 1.0
+        success = place[0] > 1.0
+        reward = success.astype(self.power.dtype)
+        step = TimeStep(place, reward, outside, jnp.zeros_like(outside), success)
+        return {
+            "place": place,
+            "size": state["size"],
+            "steps": jnp.asarray(state["steps"] + 1, jnp.int32),
+        }, step
+
+
+def test_no_step_is_computed_of_a_state_that_was_never_reset(monkeypatch):
+    monkeypatch.setattr(back_to_back, "MOST_STEPS", 80)
+    env = Walk(jnp.ones((), jnp.float64))
+    run = run_of({"kind": "rff-q", "features": {"num_features": 6}}, episodes=200, stop="first-success")
+    run = eqx.tree_at(lambda run: run.env, run, env)
+    carry, _, _, num_advances = history(run, lanes=6)
+    assert num_advances > 1 and len(np.unique(carry.episode)) > 2  # some runs had ended before
+
+
+class Doubtful(DORA):
+    """A learner that counts the transitions of its episodes."""
+
+    def end_episode(self, key, state, episode, exploration):
+        return super().end_episode(key, state, episode, exploration)
+
+
+def test_a_learner_that_overrides_the_end_of_an_episode_gets_its_transitions():
+    learner = run_of("dora").learner
+    assert not learner.learns_from_episodes
+    assert Doubtful(**vars(learner)).learns_from_episodes
 
 
 def _plain(leaf):
