@@ -139,6 +139,8 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "shift_left": _by_jax("shift_left"),
     "shift_right_logical": _by_jax("shift_right_logical"),
     "is_finite": np.isfinite,
+    "erf_inv": _by_jax("erf_inv"),
+    "log1p": _by_jax("log1p"),
 }
 """Elementwise operations, and those of NumPy for known operands."""
 
@@ -147,7 +149,10 @@ _OF_FUNCTIONS = "scan", "while", "cond", "reduce", "reduce_window", "pallas_call
 """Operations that do not call the function among their parameters just once."""
 
 
-_OF_KEYS = "random_wrap", "random_unwrap", "random_fold_in", "random_bits"
+_OF_KEYS = (
+    *("random_wrap", "random_unwrap", "random_fold_in", "random_bits", "random_split"),
+    *("slice", "squeeze", "unstack"),
+)
 """Operations on keys that have a rule."""
 
 
@@ -248,7 +253,9 @@ class _Tracing:
         is_of_keys = any(_is_key(v.aval) for v in (*eqn.invars, *eqn.outvars))
         if not eqn.outvars or (is_of_keys and name not in _OF_KEYS):
             raise NotScalar(f"{name}, of keys or without results")
-        aval = eqn.outvars[0].aval
+        aval = _of_words(eqn.outvars[0].aval)
+        if name == "erf_inv" and aval.dtype != np.float32:  # Triton has no other
+            raise NotScalar("erf_inv of other numbers than float32")
         if name in _UFUNCS or name == "select_n":
             if name == "select_n" and arrays[0].ndim == 0:
                 arrays[0] = np.broadcast_to(arrays[0], arrays[1].shape)
@@ -361,27 +368,55 @@ class _Tracing:
             found = self.elementwise("select_n", [reaches, found, cases[k]], dtype)
         return found
 
-    # ---- random numbers: a key is its words
+    # ---- random numbers: a key is its words, along the last axis
 
     def _random_wrap(self, eqn: Any, x: np.ndarray) -> np.ndarray:
         return x
 
     _random_unwrap = _random_wrap
 
-    def _random_fold_in(self, eqn: Any, key: np.ndarray, data: np.ndarray) -> list[np.ndarray]:
-        return self._by_words(eqn, threefry_prng_impl.fold_in, key, data)
+    def _random_fold_in(self, eqn: Any, keys: np.ndarray, data: np.ndarray) -> np.ndarray:
+        return self._by_words(eqn, threefry_prng_impl.fold_in, keys, data)
 
-    def _random_bits(self, eqn: Any, key: np.ndarray) -> list[np.ndarray]:
+    def _random_bits(self, eqn: Any, keys: np.ndarray) -> np.ndarray:
         width, shape = eqn.params["bit_width"], eqn.params["shape"]
-        return self._by_words(eqn, lambda words: threefry_prng_impl.random_bits(words, width, shape), key)
+        return self._by_words(eqn, lambda words: threefry_prng_impl.random_bits(words, width, shape), keys)
 
-    def _by_words(self, eqn: Any, function: Any, key: np.ndarray, *rest: np.ndarray) -> list[np.ndarray]:
-        is_one = not any(v.aval.shape for v in eqn.invars)
-        if not is_one or eqn.invars[0].aval.dtype != jax.random.key(0, impl="threefry2x32").dtype:
-            raise NotScalar("several keys, or keys of another kind than Threefry's")
-        words = jax.ShapeDtypeStruct((2,), np.uint32)
-        traced = jax.make_jaxpr(function)(words, *(v.aval for v in eqn.invars[1:]))
-        return self.evaluate(traced.jaxpr, traced.consts, [key, *rest])
+    def _random_split(self, eqn: Any, keys: np.ndarray) -> np.ndarray:
+        return self._by_words(eqn, lambda words: threefry_prng_impl.split(words, eqn.params["shape"]), keys)
+
+    def _by_words(self, eqn: Any, function: Any, keys: np.ndarray, *data: Any) -> np.ndarray:
+        """The results of a function of the words of a key, and of numbers, for each key."""
+        of_keys, *of_data = (v.aval for v in eqn.invars)
+        if of_keys.dtype != jax.random.key(0, impl="threefry2x32").dtype:
+            raise NotScalar("keys of another kind than Threefry's")
+        one = [jax.ShapeDtypeStruct((), aval.dtype) for aval in of_data]
+        traced = jax.make_jaxpr(function)(jax.ShapeDtypeStruct((2,), np.uint32), *one)
+        shape = np.broadcast_shapes(of_keys.shape, *(aval.shape for aval in of_data))
+        keys, numbers = np.broadcast_to(keys, (*shape, 2)), [np.broadcast_to(x, shape) for x in data]
+        found = [
+            self.evaluate(traced.jaxpr, traced.consts, [keys[at], *(np.asarray(x[at]) for x in numbers)])[0]
+            for at in np.ndindex(shape)
+        ]
+        aval = _of_words(eqn.outvars[0].aval)
+        return np.stack(_alike(found)).reshape(aval.shape)
+
+    def _in_total_order(self, eqn: Any, x: np.ndarray, y: np.ndarray, compare: Any) -> list[np.ndarray]:
+        """Whether numbers come before others, in the order of their bits: -0 below 0, and NaN at the ends."""
+
+        def is_before(x: jax.Array, y: jax.Array) -> jax.Array:
+            if jnp.issubdtype(x.dtype, jnp.floating):
+                whole = jnp.dtype(f"int{8 * x.dtype.itemsize}")
+                bits = (lax.bitcast_convert_type(z, whole) for z in (x, y))
+                # Those of a negative number grow as it falls, but for the one of its sign.
+                x, y = (jnp.where(z < 0, z ^ jnp.iinfo(whole).max, z) for z in bits)
+            return compare(x, y)
+
+        traced = jax.make_jaxpr(is_before)(*(v.aval for v in eqn.invars))
+        return self.evaluate(traced.jaxpr, traced.consts, [x, y])
+
+    _le_to = functools.partialmethod(_in_total_order, compare=lax.le)
+    _lt_to = functools.partialmethod(_in_total_order, compare=lax.lt)
 
     def _threefry2x32(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
         def words(k0: jax.Array, k1: jax.Array, x0: jax.Array, x1: jax.Array) -> Any:
@@ -710,6 +745,11 @@ def _bounds(dtype: np.dtype) -> tuple[Any, Any]:
     if np.issubdtype(dtype, np.integer):
         return np.iinfo(dtype).min, np.iinfo(dtype).max
     return -np.inf, np.inf
+
+
+def _of_words(aval: Any) -> Any:
+    """What is known of an array, or of the words of one of keys."""
+    return jax.ShapeDtypeStruct((*aval.shape, 2), np.dtype(np.uint32)) if _is_key(aval) else aval
 
 
 def _is_key(x: Any) -> bool:

@@ -46,7 +46,20 @@ def drawn(x):
     return *draws, jax.random.bits(keys[2], (3,), jnp.uint32), jax.random.key_data(keys[3])
 
 
-def drawn_from_many_keys(x):
+def drawn_from_split_keys(x):
+    key = jax.random.wrap_key_data((1e6 * jnp.abs(x[0, :2])).astype(jnp.uint32))
+    first, second, *rest = jax.random.split(key, 6)
+    return (
+        jax.random.randint(first, (), 0, 7, jnp.int32),
+        jax.random.choice(second, 3, p=jnp.asarray([0.2, 0.3, 0.5])),
+        jax.random.normal(rest[0], (2,), jnp.float32),
+        jax.random.exponential(rest[1], (), x.dtype),
+        jax.vmap(jax.random.bits)(jax.random.split(rest[2])),
+        jax.random.uniform(jax.vmap(jax.random.fold_in)(jax.random.split(rest[3]), np.int32([3, 4]))[1]),
+    )
+
+
+def drawn_from_known_keys(x):
     keys = jax.vmap(lambda i: jax.random.fold_in(KEY, i))(jnp.arange(3))
     return x[0] + jax.vmap(jax.random.uniform)(keys)
 
@@ -101,6 +114,8 @@ FUNCTIONS = {
     ),
     "running sums": lambda x: (jnp.cumsum(x, 1), jax.lax.cumsum(x, 0, reverse=True), jnp.cumsum(x[:0], 0)),
     "random numbers": drawn,
+    "split keys": drawn_from_split_keys,
+    "known keys": drawn_from_known_keys,
     "numbers": lambda x: (jnp.arange(12).reshape(4, 3)[:, ::2], jnp.argmax(INDEX, 1), jnp.eye(3) * x[0, 0]),
 }
 """Functions of `X`; every rule is in one of them."""
@@ -188,6 +203,11 @@ AWKWARD = {
     "draws from a known key": (
         lambda x: x + jax.random.uniform(jax.random.fold_in(KEY, x[0].astype(int)), (), x.dtype),
         ROW,
+    ),
+    "total orders": (
+        lambda x, y: [jnp.searchsorted(x, y[i], side="right", method="scan_unrolled") for i in range(8)],
+        np.sort(np.concatenate([WIDE[1:], [np.float32(-0.0)]])),
+        WIDE,
     ),
     "truth": (lambda x: [f(x > 1.0, x < 4.0) for f in (jax.lax.max, jax.lax.min)], ROW),
     "bits": (
@@ -280,12 +300,12 @@ def test_known_zeros_and_repetitions_cost_nothing():
         lambda x: x.at[jnp.argmax(x[:, 0])].set(0.0),
         lambda x: x[0].astype(jnp.uint32) << x[1].astype(jnp.uint32),
         lambda x: jax.random.uniform(jax.random.key(0, impl="rbg"), (), x.dtype) * x,
-        drawn_from_many_keys,
         words_of_a_chosen_key,
         printed,
         lambda x: jax.lax.reduce(x, 1.0, lambda a, b: a * b + a, (1,)),
         lambda x: x.astype(jnp.bfloat16) + 1,
         lambda x: jnp.sort(x[0]),
+        lambda x: jax.lax.erf_inv(x),
         lambda x: x.at[jnp.array([0, 1])].apply(jnp.sin),
         lambda x: jax.vmap(lambda y: jax.lax.while_loop(lambda c: c < 5.0, lambda c: c + 1.0, y))(x[0]),
         lambda x: jnp.linalg.cholesky(jnp.stack([x[:3], x[1:]])),
@@ -297,12 +317,12 @@ def test_known_zeros_and_repetitions_cost_nothing():
         "index",
         "shift",
         "rbg",
-        "keys",
         "a chosen key",
         "output",
         "a reduction by a function",
         "bfloat16",
         "sort",
+        "the inverse of an error function",
         "function",
         "conditions",
         "matrices",
