@@ -340,9 +340,9 @@ def obtain(
         are_written = are_written and WRITTEN in events
         if key is not None and name not in saved and program_cache.save_program(key, name, program):
             saved.add(name)
-    # What is compiled ahead, see `Ahead`, belongs to no plan yet.
-    has_choices = are_remade or device.platform != "cpu"
-    loaded = Loaded(ready, programs.get, carry, contents_of(ready) if has_choices else {})
+    # Also without a plan's choices: what `Ahead` compiles belongs to a plan that has no folder yet.
+    may_be_remade = are_remade or device.platform != "cpu"
+    loaded = Loaded(ready, programs.get, carry, contents_of(ready) if may_be_remade else {})
     program_cache.hold(key, device, loaded)
     are_saved = saved == set(programs)
     # The list of names is written last: a group counts as saved only once all its programs are.

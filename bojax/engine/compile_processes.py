@@ -16,10 +16,9 @@ import queue
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -107,6 +106,7 @@ class CompileProcesses:
     def __init__(self, number: int):
         self._idle: queue.SimpleQueue[subprocess.Popen[bytes]] = queue.SimpleQueue()
         self._begun: dict[str | None, Future[float]] = {}
+        self._waiting = ThreadPoolExecutor(max(number, 1))  # a thread for each child that has begun
         platform = "cpu" if setting("jax_platforms") == "cpu" else "auto"
         command = [sys.executable, "-P", "-m", __name__, platform, str(folder_of(""))]
         path = [str(Path(bojax.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -135,15 +135,7 @@ class CompileProcesses:
             child = self._idle.get_nowait()
         except queue.Empty:
             return False
-        self._begun[request.key] = begun = Future[float]()
-
-        def work() -> None:
-            try:
-                begun.set_result(self._compile_in(child, request))
-            except BaseException as error:  # for who waits for it
-                begun.set_exception(error)
-
-        threading.Thread(target=work, daemon=True).start()
+        self._begun[request.key] = self._waiting.submit(self._compile_in, child, request)
         return True
 
     def compile(self, request: Request) -> float:

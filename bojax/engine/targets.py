@@ -72,7 +72,7 @@ def plan_unfinished(
     targets: Sequence[Target],
     devices: Sequence[Device],
     finish: Callable[[Path], Any],
-    planned: Callable[[Plan], Any] = lambda _: None,
+    begins: Callable[[Plan], Any] = lambda _: None,
 ) -> list[tuple[Target, Plan]]:
     """Plan all sweeps, the longest first, and return those that are not finished yet, with their plans.
 
@@ -80,7 +80,7 @@ def plan_unfinished(
         targets: The sweeps with their folders.
         devices: The devices of this process.
         finish: Called with the results folder of each sweep that is finished already.
-        planned: Called with the plan of each sweep that begins.
+        begins: Called with the plan of each sweep that begins, as soon as it is planned.
 
     Raises:
         ConfigError: A sweep cannot be built.
@@ -99,7 +99,7 @@ def plan_unfinished(
         else:
             unfinished[target.path] = plan
             if not target.is_resumed:
-                planned(plan)
+                begins(plan)
     return [(target, unfinished[target.path]) for target in targets if target.path in unfinished]
 
 

@@ -12,10 +12,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Int, Key, PyTree, UInt32
+from jaxtyping import Array, ArrayLike, Bool, Int, Key, UInt32
 
 from bojax.experiments.base import Records
-from bojax.experiments.episode import EpisodeState
+from bojax.experiments.episode import EpisodeState, where
 from bojax.experiments.phases import Phase, run_block
 from bojax.learning.base import ExplorationState, LearnerState
 from bojax.numerics.lanes import any_lane, batched_together
@@ -82,7 +82,7 @@ def run_back_to_back(run: "LearningRun", carry: "RunState") -> tuple["RunState",
         episode = replace(lane.episode, learner=learner, rows=rows)
         # Without transitions: a learner that needs them does not come here.
         ended = run.end_episode(lane.run_with(carry.key), replace(episode, rows=rows[:0]))
-        learner = _where(lane.has_ended, ended, learner)
+        learner = where(lane.has_ended, ended, learner)
         # Few blocks end an episode, and to begin another one takes a GPU as many kernels as some steps.
         begins = any_lane(lane.waits | lane.has_ended)
         lane = jax.lax.cond(
@@ -138,18 +138,18 @@ def _turn(run: "LearningRun", key: Key[Array, ""], lane: _Lane, rows: Array, roo
     # A choice in every row: one kernel, where to write a single row would be one of each column.
     is_place = ends & (jnp.arange(len(lane.table["valid"]), dtype=jnp.int32) == lane.count)
     table = {name: jnp.where(is_place, row[name], column) for name, column in lane.table.items()}
-    after = _where(ends, closed, before)
+    after = where(ends, closed, before)
     count = lane.count + ends.astype(jnp.int32)
     first = lane.first + jnp.where(ends, episode.length, 0)
     has_room = (first + longest <= room) & (count < len(table["valid"]))
     begins = (lane.waits | ends) & ~after.is_done & has_room
     phase = run.training(after)
     new = _alone(phase.begin(None, *run.reset(after, phase), begins))
-    acting, exploration = _where(begins, (phase.acting, phase.exploration), (lane.acting, lane.exploration))
+    acting, exploration = where(begins, (phase.acting, phase.exploration), (lane.acting, lane.exploration))
     return _Lane(
         run=_without_key(after),
         # Also the first one of a run that has ended, so that no step is computed of zeros.
-        episode=_where(lane.waits | begins, new, episode),
+        episode=where(lane.waits | begins, new, episode),
         acting=acting,
         exploration=exploration,
         key=jnp.where(begins, jax.random.key_data(phase.key), lane.key),
@@ -176,8 +176,3 @@ def _zeros(like: jax.ShapeDtypeStruct) -> ArrayLike:
 def _alone(episode: EpisodeState) -> EpisodeState:
     """An episode without the learner and the rows, which are never chosen between two as a whole."""
     return replace(episode, learner=None, rows=episode.rows[:0])
-
-
-def _where(condition: Bool[Array, ""], new: PyTree, old: PyTree) -> PyTree:
-    """The new tree where a condition holds, else the old one; what is not new is passed on as it is."""
-    return jax.tree.map(lambda n, o: o if n is o else jnp.where(condition, n, o), new, old)

@@ -1,7 +1,7 @@
 """The state of an episode of learning, and its change by a step of the environment."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,6 +11,8 @@ from jaxtyping import Array, Bool, Float, Int
 from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
 from bojax.envs.spaces import Box, Space
 from bojax.learning.base import LearnerState
+
+T = TypeVar("T")  # A tree of arrays
 
 
 class Choice(NamedTuple):
@@ -60,13 +62,10 @@ def apply_transition(
     truncated = counts & ~time_step.terminated & (time_step.truncated | (length >= env.max_steps))
     is_outside = outside_bounds(env.observation_space, time_step.observation)
 
-    def keep(after, before):
-        return jax.tree.map(lambda a, b: a if a is b else jnp.where(counts, a, b), after, before)
-
     after = replace(
         episode,
-        env=keep(env_state, episode.env),
-        observation=keep(time_step.observation, episode.observation),
+        env=where(counts, env_state, episode.env),
+        observation=where(counts, time_step.observation, episode.observation),
         is_active=counts & ~terminated & ~truncated,
         total=episode.total + jnp.where(counts, time_step.reward, jnp.where(fails, jnp.nan, 0.0)),
         length=length,
@@ -77,6 +76,11 @@ def apply_transition(
         outside=episode.outside + (counts & is_outside).astype(jnp.int32),
     )
     return after, counts
+
+
+def where(condition: Bool[Array, ""], new: T, old: T) -> T:
+    """The new tree where a condition holds, else the old one; what is not new is passed on as it is."""
+    return jax.tree.map(lambda n, o: o if n is o else jnp.where(condition, n, o), new, old)
 
 
 _TOLERANCE = 1e-4  # rounding error that an observation may exceed its bounds by, in units of their range

@@ -100,9 +100,10 @@ def _together_in_lanes(num_lanes: int, is_batched: Sequence[bool], *arrays: Arra
 
 @jax.custom_batching.custom_vmap
 def write_row(rows: Array, index: Int[Array, ""], row: Array) -> Array:
-    """`rows` with one row replaced, which should be the same one in all lanes of a batch.
+    """`rows` with one row replaced. In a batch, the index must be in range.
 
     `vmap` alone would turn this into a scatter, which checks the range of its indices: two kernels on a GPU.
+    It is a slice if the index is the same in all lanes.
     """
     return jax.lax.dynamic_update_index_in_dim(rows, row, index, 0)
 

@@ -132,7 +132,7 @@ def test_no_step_is_computed_of_a_state_that_was_never_reset(monkeypatch):
 
 
 class Doubtful(DORA):
-    """A learner that counts the transitions of its episodes."""
+    """A learner whose `end_episode` may read the transitions."""
 
     def end_episode(self, key, state, episode, exploration):
         return super().end_episode(key, state, episode, exploration)
