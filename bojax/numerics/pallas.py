@@ -4,6 +4,7 @@ In the loop of a search, each kernel takes 1 us or more on an H200, however smal
 """
 
 import contextlib
+import functools
 import importlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,6 +12,7 @@ from contextvars import ContextVar
 from typing import Any, TypeVar
 
 import jax
+import jax.extend
 
 T = TypeVar("T")  # A tree of arrays
 
@@ -59,6 +61,30 @@ def imported() -> tuple[Any, Any]:
     """Pallas and its Triton, which take a second to import."""
     pallas = importlib.import_module("jax.experimental.pallas")
     return pallas, importlib.import_module("jax.experimental.pallas.triton")
+
+
+@functools.cache
+def _fused_product() -> Any:
+    """The primitive of `fused_product`; None if this version of JAX cannot lower it.
+
+    JAX has no such operation, but MLIR has. Triton in XLA never fuses a product with a sum by itself.
+    """
+    product = jax.extend.core.Primitive("fused_product")
+    product.def_abstract_eval(lambda x, y, z: x)
+    try:
+        lowering: Any = importlib.import_module("jax._src.pallas.triton.lowering")
+        fma: Any = importlib.import_module("jaxlib.mlir.dialects.math").fma
+        lower, operand = lowering.register_lowering(product), lowering._ensure_ir_value
+    except (ImportError, AttributeError):
+        return None
+    lower(lambda context, *xs: fma(*map(operand, xs, context.avals_in)))
+    return product
+
+
+def fused_product(x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Array:
+    """The sum x y + z in a kernel, as one operation that rounds once; an interpreted kernel rounds twice."""
+    product = None if jax.default_backend() == "cpu" else _fused_product()
+    return x * y + z if product is None else product.bind(x, y, z)
 
 
 def power_of_two(number: int) -> int:

@@ -31,7 +31,9 @@ class Rows(NamedTuple):
     def side(self, x: Float[Array, "R"]) -> Int[Array, "R"]:
         """0 within the range, -1 below and 1 above."""
         y = self.stiffness * x
-        return (y >= self.high).astype(jnp.int32) - (y <= self.low).astype(jnp.int32)
+        # A kernel knows which rows have no lower bound, and leaves their comparisons out.
+        is_below = (y <= self.low) & (self.low > -jnp.inf)
+        return (y >= self.high).astype(jnp.int32) - is_below.astype(jnp.int32)
 
 
 class Line(NamedTuple):
@@ -156,36 +158,35 @@ def constrained(
     def violation(acceleration: jax.Array) -> jax.Array:
         return jacobian @ acceleration - efc.efc_aref
 
-    def cost(acceleration: jax.Array) -> jax.Array:
-        x, excess = violation(acceleration), acceleration - data.qacc_smooth
-        y = rows.derivative(x)
+    def cost(acceleration: jax.Array, x: jax.Array) -> jax.Array:
+        excess, y = acceleration - data.qacc_smooth, rows.derivative(x)
         return 0.5 * excess @ (inertia @ excess) + jnp.sum(y * x - 0.5 * y * y / stiffness)
 
     def iterate(loop: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        number, acceleration, _ = loop
-        x = violation(acceleration)
+        number, acceleration, x, _ = loop
         before = rows.side(x)
         inertial = inertia @ (acceleration - data.qacc_smooth)
-        # Only rows within their range have curvature. The sum is symmetric but for rounding, which is
-        # averaged out before the Cholesky factor reads one triangle.
+        # Only rows within their range have curvature. The sum is symmetric but for rounding, and the Cholesky
+        # factor reads one triangle: a kernel does not compute the other one.
         active = jnp.where(before == 0, stiffness, 0.0)
         hessian = inertia + (jacobian.T * active[None, :]) @ jacobian
-        factor = jax.scipy.linalg.cho_factor(0.5 * (hessian + hessian.T))
+        factor = jax.scipy.linalg.cho_factor(hessian)
         direction = -jax.scipy.linalg.cho_solve(factor, inertial + jacobian.T @ rows.derivative(x))
         first, second = direction @ inertial, direction @ (inertia @ direction)
         size = search(Line(rows, x, jacobian @ direction, first, second))
         acceleration = acceleration + size * direction
         # If no row has changed sides, the cost was quadratic on the way and its minimum is reached.
-        has_changed = jnp.any(rows.side(violation(acceleration)) != before)
-        return number + 1, acceleration, has_changed
+        x = violation(acceleration)
+        return number + 1, acceleration, x, jnp.any(rows.side(x) != before)
 
     # As MJX does: start from the last accelerations, or from the unconstrained ones if those cost less.
     starts = jnp.stack([data.qacc_warmstart, data.qacc_smooth])
-    costs = jax.vmap(cost)(starts)
-    start = jnp.where(costs[0] < costs[1], *starts)
-    loop = batched_together((jnp.zeros((), jnp.int32), start, jnp.ones((), bool)))
-    _, acceleration, _ = jax.lax.while_loop(
-        lambda loop: (loop[0] < model.opt.iterations) & loop[2], iterate, loop
+    violations = jax.vmap(violation)(starts)
+    costs = jax.vmap(cost)(starts, violations)
+    start, x = (jnp.where(costs[0] < costs[1], *pair) for pair in (starts, violations))
+    loop = batched_together((jnp.zeros((), jnp.int32), start, x, jnp.ones((), bool)))
+    _, acceleration, x, _ = jax.lax.while_loop(
+        lambda loop: (loop[0] < model.opt.iterations) & loop[3], iterate, loop
     )
-    force = -(jacobian.T @ rows.derivative(violation(acceleration)))
+    force = -(jacobian.T @ rows.derivative(x))
     return data.replace(qacc=acceleration, qfrc_constraint=force)

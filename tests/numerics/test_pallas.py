@@ -5,9 +5,10 @@ import types
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from bojax.numerics.pallas import either, kernels_run_here
+from bojax.numerics.pallas import either, fused_product, kernels_run_here, launch
 
 
 @pytest.mark.parametrize(
@@ -38,3 +39,19 @@ def test_only_a_gpu_computes_the_kernel(is_kernel):
 
     expected = 1.0 if is_kernel and jax.default_backend() == "gpu" else -1.0
     assert jax.jit(jax.vmap(compute))(jnp.zeros(2)).tolist() == [expected, expected]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_fused_product_is_rounded_once(dtype):
+    def kernel(x, y, z, found):
+        found[0] = fused_product(x[0], y[0], z[0])
+        found[1] = fused_product(x[0], jnp.full((), 1.0 + small, dtype), z[0])
+
+    # (1 + e)^2 - 1 - 2 e is e^2, which is lost where the product is rounded
+    small = np.finfo(dtype).eps
+    x, z = np.asarray([1 + small], dtype), np.asarray([-1 - 2 * small], dtype)
+    (found,) = jax.jit(lambda *xs: launch(kernel, [jax.ShapeDtypeStruct((2,), dtype)], *xs, name="fused"))(
+        x, x, z
+    )
+    expected = 0.0 if jax.default_backend() == "cpu" else small**2
+    assert found.tolist() == [expected, expected]

@@ -28,7 +28,7 @@ class ScalarKernel:
     """
 
     def __init__(self, function: Callable[..., Any], *examples: Any, name: str):
-        self._program, self._name = ScalarProgram(function, *examples, most=MOST_SCALARS), name
+        self._program, self._name = ScalarProgram(function, *examples, most=MOST_SCALARS, fuses=True), name
         self._examples, self._results = examples, jax.eval_shape(function, *examples)
 
     def __call__(self, *arguments: Any) -> Any:

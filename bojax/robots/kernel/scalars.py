@@ -25,6 +25,7 @@ from jax import lax
 from jax.extend.random import threefry_prng_impl
 from jax.lax import GatherScatterMode
 
+from bojax.numerics.pallas import fused_product
 from bojax.numerics.simulation_keys import threefry
 
 
@@ -52,7 +53,12 @@ class ScalarProgram:
     """
 
     def __init__(
-        self, function: Callable[..., Any], *examples: Any, most: int = 100_000, keeps_nan: bool = False
+        self,
+        function: Callable[..., Any],
+        *examples: Any,
+        most: int = 100_000,
+        keeps_nan: bool = False,
+        fuses: bool = False,
     ):
         """Trace a function.
 
@@ -62,12 +68,13 @@ class ScalarProgram:
             most: Largest number of scalars.
             keeps_nan: Whether the maximum and the minimum of a number and NaN are NaN in a kernel, too, which
                 takes Triton further operations.
+            fuses: Whether products are fused with sums, and rounded once, in a kernel.
 
         Raises:
             NotScalar: It cannot be taken apart, has too many scalars, or has no arguments.
         """
         traced = jax.make_jaxpr(function)(*examples)
-        tracing = _Tracing(most, keeps_nan)
+        tracing = _Tracing(most, keeps_nan, fuses)
         arguments = [tracing.inputs(v.aval) for v in traced.jaxpr.invars]
         # The caller may be traced itself, but known numbers are computed now.
         with jax.ensure_compile_time_eval():
@@ -159,9 +166,9 @@ _OF_KEYS = (
 class _Tracing:
     """The scalars of one program, in the order of their computation."""
 
-    def __init__(self, most: int, keeps_nan: bool):
+    def __init__(self, most: int, keeps_nan: bool, fuses: bool):
         self._numbers, self._most, self._level = itertools.count(), most, 0
-        self._keeps_nan = keeps_nan
+        self._keeps_nan, self._fuses = keeps_nan, fuses
         self._found: dict[Any, Scalar] = {}
 
     # ---- scalars
@@ -211,8 +218,30 @@ class _Tracing:
         parts = (x if isinstance(x, Scalar) else (x.dtype, x.tobytes()) for x in operands)
         key = name, np.dtype(dtype), *parts
         if key not in self._found:
-            self._found[key] = self.scalar(operands, compute, dtype)
+            self._found[key] = self.fused(name, self.scalar(operands, compute, dtype))
         return self._found[key]
+
+    def fused(self, name: str, whole: Scalar) -> Scalar:
+        """A sum or a difference as one operation with a product among its operands, if there is one."""
+        if not self._fuses or name not in ("add", "sub") or not np.issubdtype(whole.dtype, np.floating):
+            return whole
+        first, second = whole.operands
+
+        def negated(x: Any) -> Any:
+            return self.apply("neg", lax.neg, [x], whole.dtype) if name == "sub" else x
+
+        def is_product(x: Any) -> bool:
+            # One of an outer loop is computed once.
+            return isinstance(x, Scalar) and x.compute is lax.mul and x.level == whole.level
+
+        # The product stays a scalar, which is left out if nothing else needs it.
+        if is_product(second):
+            operands = negated(second.operands[0]), second.operands[1], first
+        elif is_product(first):
+            operands = *first.operands, negated(second)
+        else:
+            return whole
+        return self.scalar(operands, fused_product, whole.dtype)
 
     # ---- arrays of scalars
 
@@ -223,6 +252,11 @@ class _Tracing:
     def total(self, name: str, parts: Sequence[Any], dtype: Any) -> Any:
         """The sum of scalars by pairs, or another associative operation of them."""
         compute = _operation(name)
+        if self._fuses and name == "add":  # a term that is a product costs nothing in a chain
+            chains = (parts[i : i + _CHAIN] for i in range(0, len(parts), _CHAIN))
+            parts = [
+                functools.reduce(lambda x, y: self.apply(name, compute, (x, y), dtype), c) for c in chains
+            ]
         # By pairs, since a chain has a larger rounding error, and each addition waits for the one before.
         while len(parts) > 1:
             half = len(parts) // 2
@@ -641,6 +675,10 @@ class _Tracing:
             return _each(one, np.empty(aval.shape))
 
         return [result(aval) for aval in avals]
+
+
+_CHAIN = 8
+"""Number of terms that are added one after the other, where sums are fused with products."""
 
 
 def _or_nan(compute: Callable[..., Any], x: Any, y: Any) -> Any:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bojax.robots.kernel import scalars
 from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
 from tests.compiling import IS_CPU
 
@@ -292,6 +293,30 @@ def test_known_zeros_and_repetitions_cost_nothing():
     names = [eqn.primitive.name for eqn in traced.eqns]
     assert names.count("add") == 2
     assert names.count("mul") == 6
+
+
+@pytest.mark.parametrize("name", ["arithmetic", "products", "sums", "systems", "scans", "loops"])
+def test_a_program_that_fuses_computes_the_same(name):
+    program = ScalarProgram(FUNCTIONS[name], X, fuses=True)
+    found = jax.jit(lambda x: program([*x.reshape(-1)]))(X)
+    expected = np.concatenate([np.ravel(x) for x in jax.tree.leaves(FUNCTIONS[name](X))])
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_sums_and_differences_take_the_products_in(monkeypatch):
+    def function(x):
+        shared = x[0, 0] * x[0, 1]
+        return x @ x[0], shared + x[1, 0], x[1, 1] - x[1, 2] * x[0, 2], x[2, 0] * 3.0 - x[2, 1], shared
+
+    fused = []
+    monkeypatch.setattr(scalars, "fused_product", lambda *xs: fused.append(xs) or xs[0] * xs[1] + xs[2])
+    program = ScalarProgram(function, X, fuses=True)
+    traced = jax.make_jaxpr(lambda x: program([*x.reshape(-1)]))(X)
+    names = [eqn.primitive.name for eqn in traced.eqns]
+    # Of the three products of a row, the first one has nothing to be added to; another is a result, too.
+    assert len(fused) == 4 * 2 + 3
+    assert names.count("mul") == 4 + 1 + len(fused)
+    assert names.count("sub") == 0
 
 
 @pytest.mark.parametrize(
