@@ -1,7 +1,6 @@
 """The base of the continuous domains (thesis, Section 5.7.2): a goal, and two reward functions."""
 
 import abc
-from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +9,7 @@ from typing_extensions import override
 
 from bojax.envs.base import Env, EnvState, TimeStep
 from bojax.envs.spaces import Box
+from bojax.numerics.choices import Choice, one_of
 
 
 class ControlStep(eqx.Module):
@@ -31,7 +31,7 @@ class ControlTask(Env):
     reward, unless the state is a failure. A step after which the simulation has diverged pays NaN.
     """
 
-    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    reward: Choice = eqx.field(converter=one_of("goal-only", "classic"))
 
     @abc.abstractmethod
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
@@ -64,12 +64,12 @@ class ControlTask(Env):
         after = self.advance(key, state, clipped)
         failure = self.is_failure(after)
         success = self.is_goal(after) & ~failure
-        if self.reward == "goal-only":
-            reward = success.astype(dtype) - failure.astype(dtype)
-            terminated = success | failure
-        else:
-            reward, terminated = self.classic(ControlStep(state, clipped, after, success, failure))
+        # Both, so that runs with different rewards share a compiled program.
+        classic, ends = self.classic(ControlStep(state, clipped, after, success, failure))
+        is_classic = self.reward.is_("classic")
+        reward = jnp.where(is_classic, classic, success.astype(dtype) - failure.astype(dtype))
         reward = jnp.where(self.has_diverged(after), jnp.nan, reward)
+        terminated = jnp.where(is_classic, ends, success | failure)
         never = jnp.zeros_like(terminated)
         return after, TimeStep(self.observe(after), reward, terminated, never, success)
 
