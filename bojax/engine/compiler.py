@@ -51,10 +51,15 @@ class BackgroundCompiler:
         for _ in range(compile_threads()):
             threading.Thread(target=self._work, daemon=True).start()
 
-    def request(self, key: ProgramKey) -> None:
-        """Compile in a thread, unless it was requested before; the first group comes first."""
-        if (programs := self._new(key)) is not None:
-            self._queue.put((key.task.rank, next(self._order), key, programs))
+    def request(self, key: ProgramKey, *, is_needed: bool = True) -> None:
+        """Compile in a thread, unless that was done before; the first group comes first.
+
+        Programs that are not needed yet come after all that are. Many never are: those for fewer lanes, of a
+        group whose runs stay active.
+        """
+        programs = self._new(key) or (self._programs.get(key) if is_needed else None)
+        if programs is not None and not programs.done():  # requested again, it comes earlier
+            self._queue.put((not is_needed, key.task.rank, next(self._order), key, programs))
 
     def load(self, key: ProgramKey, source: ProgramKey) -> None:
         """Obtain programs that another device compiles or has compiled.
@@ -108,7 +113,7 @@ class BackgroundCompiler:
 
     def close(self) -> None:
         """End the threads once they are idle."""
-        self._queue.put((1 << 30, next(self._order), None, None))  # sorted behind every request
+        self._queue.put((True, 1 << 30, next(self._order), None, None))  # sorted behind every request
 
     def _new(self, key: ProgramKey) -> Future[Programs] | None:
         """The place of programs; None if they were requested before."""
@@ -121,15 +126,17 @@ class BackgroundCompiler:
     def _work(self) -> None:
         while True:
             item = self._queue.get()
-            _, _, key, programs = item
+            *_, key, programs = item
             if key is None or self._stop():
                 self._queue.put(item)  # one item ends all threads: each leaves it to the next
                 return
             self._run(key, programs)
 
     def _run(self, key: ProgramKey, programs: Future[Programs]) -> None:
-        if not programs.set_running_or_notify_cancel():  # dropped before its turn
-            return
+        with self._changed:
+            is_over = programs.running() or programs.done()  # requested twice, or dropped before its turn
+            if is_over or not programs.set_running_or_notify_cancel():
+                return
         try:
             programs.set_result(self._compile(key))
         except BaseException as error:  # user's code may call sys.exit

@@ -136,7 +136,7 @@ class _Executor:
 
     def _compile_ahead(self) -> None:
         for key in self._scheduler.to_compile_ahead():
-            self._compiler.request(key)
+            self._compiler.request(key, is_needed=key.width == key.task.layout.lanes)
 
     def _compile(self, key: ProgramKey) -> Programs:
         """Compile programs, or load them from the cache. Those that a group starts with are shown once."""
@@ -276,20 +276,25 @@ class _Executor:
                 return self._compiler.wait(key)
             # Another chunk may use the device while this one waits for a program, or loads it.
             with released(self._locks[device]):
-                if not self._compiler.is_requested(key):
-                    with self._changed:
-                        source = self._scheduler.source(key)
-                    if source is None:
-                        self._compiler.request(key)
-                    else:
-                        self._compiler.load(key, source)
+                if (source := source_of(key)) is not None:
+                    self._compiler.load(key, source)
+                else:
+                    self._compiler.request(key)
                 return self._compiler.wait(key)
+
+        def source_of(key: ProgramKey) -> ProgramKey | None:
+            with self._changed:
+                return None if self._compiler.is_requested(key) else self._scheduler.source(key)
+
+        def announce(width: int) -> None:
+            if source_of(key := task.key(device, width)) is None:
+                self._compiler.request(key)
 
         self._progress.add([], runs_done=sink.state.num_ended)
         limits = replace(task.limits, stop=self._stop)
         report = self._progress.segment
         return ChunkRunner(
-            chunk, task.experiment, programs, sink, limits, lambda done: report(task.progress, done)
+            chunk, task.experiment, programs, sink, limits, lambda done: report(task.progress, done), announce
         )
 
     def _release(self, task: GroupTask) -> None:

@@ -26,6 +26,9 @@ from bojax.results.tables import KEYS, to_arrow
 EMPTY = -1
 """In a map from lanes to the runs of a queue: a lane without a run."""
 
+SOON = 2
+"""Runs for each of a smaller number of lanes, from which on the programs for these lanes are compiled."""
+
 MOST_ADVANCES = 512
 MOST_RECORD_BYTES = 1 << 28
 """Limits of a segment: its advances, and the bytes of their records, which stay on the device meanwhile."""
@@ -61,6 +64,7 @@ class ChunkRunner:
         sink: Receives rows and checkpoints, and holds the state from which the chunk is resumed.
         limits: When the chunk pauses.
         report: Called after every segment.
+        announce: Called with a smaller number of lanes once the runs may soon fit into it.
     """
 
     def __init__(
@@ -71,9 +75,11 @@ class ChunkRunner:
         sink: Sink,
         limits: Limits,
         report: Callable[[Segment], None],
+        announce: Callable[[int], None] = lambda width: None,
     ):
         self._chunk, self._experiment, self._sink = chunk, experiment, sink
         self._programs_of, self._limits, self._report = programs, limits, report
+        self._announce = announce
         self._state = sink.state
         self._waited = 0.0  # seconds of waiting for programs, in a segment
         self._summaries: list[Rows] = []
@@ -207,6 +213,9 @@ class ChunkRunner:
         if not len(live) and not num_waiting:
             self._hand_in(done)
             return len(done)
+        smaller = [width for width in self._chunk.layout.widths if width < len(lanes)]
+        if smaller and len(live) + num_waiting <= SOON * smaller[0]:
+            self._announce(smaller[0])
         if not self._may_repack:
             return 0
         # Finished runs keep their lanes, where advances do not change them, until another run can take a lane

@@ -84,14 +84,10 @@ class Scheduler:
         return [task for task in self._free(device) if self._is_ready(task.key(device))]
 
     def take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
-        """The next chunk for a device, which then counts as running; None if none is ready.
-
-        Groups with the programs for all their numbers of lanes come first: they will not wait for any.
-        """
-        ready = self.ready(device)
-        if not ready:
+        """The next chunk for a device, which then counts as running; None if none is ready."""
+        task = next(iter(self.ready(device)), None)
+        if task is None:
             return None
-        task = next(filter(self._is_complete, ready), ready[0])
         task.running += 1
         return task, task.chunks.popleft()
 
@@ -112,14 +108,13 @@ class Scheduler:
         if self.ready(device):
             return None
         unknown = [task for task in self._free(device) if not self._is_requested(task.key(device))]
-        found = [
+        found = (
             (task.key(device), task.key(other))
             for task in unknown
             for other in self._devices_of(task)
             if self._is_ready(task.key(other))
-        ]
-        # As in `take`: a group that will not wait for the programs of its smaller numbers of lanes.
-        return next((pair for pair in found if self._is_complete(pair[0].task)), found[0] if found else None)
+        )
+        return next(found, None)
 
     def source(self, key: ProgramKey) -> ProgramKey | None:
         """The same programs on another device for which they were requested: none are compiled twice."""
@@ -145,13 +140,6 @@ class Scheduler:
         tasks = of_platform(self._tasks, device.platform)
         # Programs of a hosted group hold one vector of environments, which two chunks cannot both step.
         return [task for task in tasks if task.chunks and not (task.experiment.is_hosted and task.running)]
-
-    def _is_complete(self, task: GroupTask) -> bool:
-        """Whether the programs for all numbers of lanes of a group are compiled, each for some device."""
-        return all(
-            any(self._is_ready(task.key(device, width)) for device in self._devices_of(task))
-            for width in task.layout.widths
-        )
 
     def _devices_of(self, task: GroupTask) -> list[Device]:
         """The devices on which a group may run."""

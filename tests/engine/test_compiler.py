@@ -58,6 +58,17 @@ def test_the_first_groups_come_first_and_dropped_ones_not_at_all(made):
     assert made.compiler.is_ready(last) and made.compiler.error(last) is None
 
 
+def test_what_is_not_needed_yet_comes_last_and_is_compiled_once(made):
+    later, soon, first = key_of(1, 0), key_of(2, 1), key_of(3, 2)
+    for key in (later, soon):
+        made.compiler.request(key, is_needed=False)
+    made.compiler.request(first)
+    made.compiler.request(soon)  # it is needed now
+    made.release.set()
+    made.compiler.wait(later)
+    assert [key for key, _ in made.compiled] == [key_of(0), soon, first, later]
+
+
 def test_programs_are_loaded_by_the_thread_that_needs_them(made):
     source, unsaved = key_of(1), key_of(2)
     made.compiler.request(source)

@@ -231,6 +231,23 @@ def test_a_stop_during_the_wait_for_a_program_loses_nothing(tmp_path, missing):
 
 
 @pytest.mark.bits
+def test_fewer_lanes_are_announced_before_the_runs_move_there():
+    layout, seen = LAYOUTS["narrowed"], []
+    (chunk,) = chunks_of(layout)
+
+    def compiled(width):
+        seen.append(("moved", width))
+        return programs_of(layout)(width)
+
+    def announced(width):
+        seen.append(("announced", width))
+
+    run(ChunkRunner(chunk, MODULES[0], compiled, Sink(), NEVER, lambda _: None, announced))
+    order = list(dict.fromkeys(seen))
+    assert order.index(("announced", 8)) < order.index(("moved", 8)) < order.index(("moved", 2))
+    assert order[0] == ("moved", 24)
+
+
 def test_a_chunk_of_few_runs_narrows_as_soon_as_it_may():
     layout = Layout(24, (24, 8), 3)
     chunk = replace(chunks_of(PLAIN)[0], layout=layout)

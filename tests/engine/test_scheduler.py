@@ -83,14 +83,6 @@ def test_groups_run_in_their_order_as_soon_as_they_are_compiled():
     assert plan.release(b) and not plan.release(a) and plan.release(a)
 
 
-def test_groups_whose_programs_are_all_compiled_come_first():
-    a, b = tasks = [Task("a", 2, 4, 2), Task("b", 1, 4, 2)]
-    plan, programs = make(tasks, GPU)
-    programs.compile(a.key(GPU), *b.keys(GPU))
-    assert taken(plan, GPU) == ("b", 0)
-    assert taken(plan, GPU) == ("a", 0)  # rather than to wait for its second program
-
-
 def test_one_chunk_of_a_hosted_group_runs_at_a_time():
     a, b = tasks = [Task("a", 2, 4, platform="cpu", is_hosted=True), Task("b", 1, 4, platform="cpu")]
     plan, programs = make(tasks, CPU, CPU)
@@ -131,11 +123,10 @@ def test_a_second_device_loads_what_the_first_one_has_compiled():
     assert plan.to_load(OTHER) is None
     programs.compile(a.key(GPU))
     assert plan.to_load(OTHER) == (a.key(OTHER), a.key(GPU)) and plan.to_load(GPU) is None
-    programs.compile(*b.keys(GPU))
-    assert plan.to_load(OTHER) == (b.key(OTHER), b.key(GPU))  # complete
-    programs.requested.add(b.key(OTHER))
-    assert plan.to_load(OTHER) == (a.key(OTHER), a.key(GPU))
-    programs.ready.add(b.key(OTHER))
+    programs.compile(b.key(GPU))
+    programs.requested.add(a.key(OTHER))
+    assert plan.to_load(OTHER) == (b.key(OTHER), b.key(GPU))
+    programs.ready.add(a.key(OTHER))
     assert plan.to_load(OTHER) is None  # it has something to run
     assert plan.source(a.key(OTHER, 2)) is None
     programs.requested.add(a.key(GPU, 2))
