@@ -42,6 +42,16 @@ def as_for_a_gpu(monkeypatch):
     """Context in which programs are traced and lowered for a GPU: Triton asks for its kind."""
     import jax
 
+    rules = importlib.import_module("jax._src.pallas.triton.lowering").triton_lowering_rules
+    select = rules[jax.lax.select_n_p]
+
+    def checked(context, which, *cases):
+        # JAX gives a constant without a type, as in `jnp.where(x > 0.0, 0.1, 0.2)`, that of the condition
+        typed = zip(cases, context.avals_in[1:], strict=True)
+        assert not any(aval.weak_type and not hasattr(case, "type") for case, aval in typed)
+        return select(context, which, *cases)
+
+    monkeypatch.setitem(rules, jax.lax.select_n_p, checked)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     gpu = jax.sharding.AbstractDevice(device_kind="NVIDIA H200", num_cores=132, platform="gpu")
     with jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), (), abstract_device=gpu)):

@@ -146,7 +146,6 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     "shift_left": _by_jax("shift_left"),
     "shift_right_logical": _by_jax("shift_right_logical"),
     "is_finite": np.isfinite,
-    "erf_inv": _by_jax("erf_inv"),
     "log1p": _by_jax("log1p"),
 }
 """Elementwise operations, and those of NumPy for known operands."""
@@ -288,8 +287,6 @@ class _Tracing:
         if not eqn.outvars or (is_of_keys and name not in _OF_KEYS):
             raise NotScalar(f"{name}, of keys or without results")
         aval = _of_words(eqn.outvars[0].aval)
-        if name == "erf_inv" and aval.dtype != np.float32:  # Triton has no other
-            raise NotScalar("erf_inv of other numbers than float32")
         if name in _UFUNCS or name == "select_n":
             if name == "select_n" and arrays[0].ndim == 0:
                 arrays[0] = np.broadcast_to(arrays[0], arrays[1].shape)
@@ -434,6 +431,14 @@ class _Tracing:
         ]
         aval = _of_words(eqn.outvars[0].aval)
         return np.stack(_alike(found)).reshape(aval.shape)
+
+    def _erf_inv(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        aval = eqn.invars[0].aval
+        if aval.dtype != np.float32:
+            raise NotScalar("erf_inv of other numbers than float32")
+        # JAX's own for Triton chooses between numbers without a type, which Triton takes for Booleans.
+        traced = jax.make_jaxpr(_erf_inv)(aval)
+        return self.evaluate(traced.jaxpr, traced.consts, [x])[0]
 
     def _in_total_order(self, eqn: Any, x: np.ndarray, y: np.ndarray, compare: Any) -> list[np.ndarray]:
         """Whether numbers come before others, in the order of their bits: -0 below 0, and NaN at the ends."""
@@ -679,6 +684,34 @@ class _Tracing:
 
 _CHAIN = 8
 """Number of terms that are added one after the other, where sums are fused with products."""
+
+
+_OF_ERF_INV = np.asarray(
+    [
+        (2.81022636e-08, -0.000200214257),
+        (3.43273939e-07, 0.000100950558),
+        (-3.5233877e-06, 0.00134934322),
+        (-4.39150654e-06, -0.00367342844),
+        (0.00021858087, 0.00573950773),
+        (-0.00125372503, -0.0076224613),
+        (-0.00417768164, 0.00943887047),
+        (0.246640727, 1.00167406),
+        (1.50140941, 2.83297682),
+    ],
+    np.float32,
+)
+"""Coefficients of `_erf_inv` in the middle and in the tails, from that of the highest power."""
+
+
+def _erf_inv(x: jax.Array) -> jax.Array:
+    """The inverse error function of Giles (GPU Computing Gems 2, 2011), as XLA computes it in 32 bits."""
+    w = -jnp.log1p(-x * x)
+    is_middle = w < 5.0
+    w = jnp.where(is_middle, w - 2.5, jnp.sqrt(w) - 3.0)
+    found = jnp.zeros_like(x)
+    for middle, tail in _OF_ERF_INV:
+        found = found * w + jnp.where(is_middle, middle, tail)
+    return jnp.where(jnp.abs(x) == 1.0, x * jnp.float32(jnp.inf), found * x)
 
 
 def _or_nan(compute: Callable[..., Any], x: Any, y: Any) -> Any:

@@ -296,7 +296,8 @@ def test_known_zeros_and_repetitions_cost_nothing():
 
 
 @pytest.mark.parametrize("name", ["arithmetic", "products", "sums", "systems", "scans", "loops"])
-def test_a_program_that_fuses_computes_the_same(name):
+def test_a_program_that_fuses_computes_the_same(name, monkeypatch):
+    monkeypatch.setattr(scalars, "fused_product", lambda x, y, z: x * y + z)  # an operation of kernels alone
     program = ScalarProgram(FUNCTIONS[name], X, fuses=True)
     found = jax.jit(lambda x: program([*x.reshape(-1)]))(X)
     expected = np.concatenate([np.ravel(x) for x in jax.tree.leaves(FUNCTIONS[name](X))])
