@@ -81,7 +81,11 @@ _IMPLEMENTATION = jex.random.define_prng_impl(
 
 
 def simulation_key(key: Key[Array, ""]) -> Key[Array, ""]:
-    """The key of a simulation, seeded by a key of any kind; every function of `jax.random` takes it."""
+    """The key of a simulation, seeded by a key of any kind.
+
+    `jax.random.poisson` does not take it, and `jax.random.gamma`, which `beta`, `dirichlet`, `t` and `ball`
+    call, draws one number after the other with it, also of a batch.
+    """
     return jax.random.wrap_key_data(jax.random.bits(key, (2,), jnp.uint32), impl=_IMPLEMENTATION)
 
 

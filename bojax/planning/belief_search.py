@@ -155,10 +155,16 @@ class BeliefTreeSearch(eqx.Module):
 
     def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Tree:
         """The tree after all iterations."""
-        key_root, key_states, key_first, key_search = jax.random.split(simulation_key(key), 4)
+        try:
+            return self._search(simulation_key(key), problem, belief)
+        except NotImplementedError:  # `jax.random.poisson` takes JAX's own keys alone
+            return self._search(jax.random.clone(key), problem, belief)
+
+    def _search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Tree:
+        key_root, key_states, key_first, key_search = jax.random.split(key, 4)
         space = problem.actions
         num_actions = space.count if isinstance(space, Discrete) else self.max_actions
-        example = jax.eval_shape(space.sample, key)
+        example = jax.eval_shape(space.sample, key_first)
         first = self.first(key_first, problem, belief)
         root = self.root(key_root, problem, belief)
         tree = Tree.rooted(

@@ -227,9 +227,11 @@ class Balls(ActionSpace):
 
     @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "K"]:
-        shape, dtype = (self.num_agents,), self.radius.dtype
-        vectors = jax.random.ball(key, self.num_dims, shape=shape, dtype=dtype)
-        return (vectors * _ratio(_length(vectors), _largest(vectors))).ravel()
+        # Not `jax.random.ball`, which draws one vector after the other for the keys of a search.
+        key_direction, key_length = jax.random.split(key)
+        normal = jax.random.normal(key_direction, (self.num_agents, self.num_dims), self.radius.dtype)
+        length = jax.random.uniform(key_length, (self.num_agents, 1), normal.dtype) ** (1.0 / self.num_dims)
+        return (normal * _ratio(length, _largest(normal))).ravel()
 
     @override
     def contains(self, action: Float[Array, "K"]) -> Bool[Array, ""]:

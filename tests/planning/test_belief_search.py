@@ -244,6 +244,21 @@ def test_a_lane_of_a_batch_is_a_search_of_its_own(name, kind):
             np.testing.assert_array_equal(batch.beliefs.count[lane], tree.beliefs.count)
 
 
+class Arrivals(Drift):
+    """A drift with a draw that takes JAX's own keys alone."""
+
+    def step(self, key, state, action):
+        key, own = jax.random.split(key)
+        after, reward, is_terminal = super().step(key, state, action)
+        return after + jax.random.poisson(own, 3.0, after.shape).astype(after.dtype), reward, is_terminal
+
+
+def test_a_model_may_draw_poisson_numbers():
+    problem = drift(kind=Arrivals)
+    tree = search(planner("pft", 20), problem, belief_of(problem))
+    assert totals_by_action(tree)[ROOT, :, 0].sum() == 20
+
+
 def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
     problem = drift()
     tree = search(planner("pft", ITERATIONS), problem, belief_of(problem))
