@@ -13,7 +13,7 @@ from bojax.surveys.polylines import length_of, points_along, rest_of
 from bojax.surveys.route import RouteOptions, stays_inside
 from tests.compiling import COMPILATION, IS_CPU, events_of_jax
 
-QUICK = RouteOptions(waypoints=12, restarts=4, steps=20, models=1)
+QUICK = RouteOptions(waypoints=12, restarts=4, steps=8, models=1)
 SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
 
 

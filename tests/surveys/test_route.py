@@ -15,7 +15,7 @@ from bojax.surveys.polylines import length_of, with_waypoints
 from bojax.surveys.route import RouteOptions, plan_routes, stays_inside
 from tests.compiling import COMPILATION, events_of_jax
 
-QUICK = RouteOptions(waypoints=16, restarts=5, steps=40, models=2)
+QUICK = RouteOptions(waypoints=16, restarts=5, steps=15, models=2)
 SQUARE = Area.rectangle(0.0, 0.0, 6.0, 6.0)
 HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
 WITH_HOLE = SQUARE.without([(HOLE,)])

@@ -17,7 +17,7 @@ from tests.surveys.test_route import belief
 HOLE = np.array([[2.0, 2.0], [4.0, 2.0], [4.0, 4.0], [2.0, 4.0]])
 POND = Area.rectangle(0.0, 0.0, 6.0, 6.0).without([(HOLE,)])
 GROUND = Ground.of(POND)
-QUICK = RouteOptions(waypoints=12, restarts=3, steps=30, models=2)
+QUICK = RouteOptions(waypoints=12, restarts=3, steps=10, models=2)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
