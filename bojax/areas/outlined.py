@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from bojax.areas.area import Area
 from bojax.areas.distance_grid import DistanceGrid
+from bojax.models.checks import compiled_if_known
 
 
 class OutlinedArea(eqx.Module):
@@ -57,6 +58,7 @@ class OutlinedArea(eqx.Module):
         """The area on the host."""
         return Area(tuple(self.rings))
 
+    @compiled_if_known
     def is_inside(self, points: Float[Array, "*N 2"]) -> Bool[Array, "*N"]:
         """Whether points are in the area, or at most half a cell outside."""
         return self._depth(points) >= 0.0

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key, Scalar
 
 from bojax.areas.outlined import OutlinedArea
+from bojax.models.checks import compiled_if_known
 from bojax.motions.base import Path, Pose, place
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
@@ -104,6 +105,7 @@ class Arena(eqx.Module):
         low_x, low_y, high_x, high_y = self.domain
         return jnp.linspace(low_x, high_x, resolution), jnp.linspace(low_y, high_y, resolution)
 
+    @compiled_if_known
     def grid(self, resolution: int) -> Float[Array, "G 2"]:
         """Points of a regular grid over the domain, in rows of equal y."""
         x, y = self.axes(resolution)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from bojax.areas.outlined import OutlinedArea
+from bojax.models.checks import compiled_if_known
 
 Boxes = Float[Array, "W 4"]
 """Axis-parallel rectangles, `[x_min, y_min, x_max, y_max]` in metres."""
@@ -109,6 +110,7 @@ def drive_until_blocked(
     )
 
 
+@compiled_if_known
 def is_free(
     points: Float[Array, "N 2"],
     domain: Float[Array, "4"],

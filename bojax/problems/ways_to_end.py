@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bojax.areas.outlined import OutlinedArea
-from bojax.models.checks import is_known
+from bojax.models.checks import compiled_if_known, is_known
 from bojax.motions.base import Path, Pose
 from bojax.motions.polylines import headings_along, lengths_along, points_along
 from bojax.problems.budgets import check_reach
@@ -48,6 +48,7 @@ class WaysToEnd(eqx.Module):
         """Whether no more than the reserve is left at a point."""
         return left <= (self.reserve(point) + self.slack) * (1.0 + ROUNDING) + ROUNDING
 
+    @compiled_if_known
     def distance(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
         """Length of the shortest way from each point, m."""
         first = self._first(points)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -121,13 +122,18 @@ def test_errors_in_a_region_are_those_of_plain_numpy():
     region = (0.5, 0.4, 1.6, 2.0)  # over a wall, whose points do not count
     problem = monitoring(errors_by_step=True, region=f64(region))
     whole = monitoring(errors_by_step=True)
-    belief, world = field_belief(problem, (0.5, 1.2, 0.5), 9), problem.reset(jax.random.key(0))
-    row = problem.belief_row(world, belief)
+    belief, points = field_belief(problem, (0.5, 1.2, 0.5), 9), problem.grid()
+
+    @eqx.filter_jit
+    def computed():
+        world = problem.reset(jax.random.key(0))
+        rows = [list(each.belief_row(world, belief).items()) for each in (problem, whole)]
+        return *rows, *belief.posterior.predict(points), problem.true_field.values(points)
+
+    row, of_whole, mean, variance, truth = jax.device_get(computed())
+    row = dict(row)
     assert [column.name for column in problem.step_columns][-6:] == list(row)
-    points = np.asarray(problem.grid())
-    mean, variance = (np.asarray(each) for each in belief.posterior.predict(f64(points)))
-    truth = np.asarray(problem.true_field.values(f64(points)))
-    x, y = points.T
+    x, y = np.asarray(points).T
     counts = (x >= region[0]) & (x <= region[2]) & (y >= region[1]) & (y <= region[3])
     for x_min, y_min, x_max, y_max in np.asarray(problem.walls):
         counts &= ~((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
@@ -136,7 +142,7 @@ def test_errors_in_a_region_are_those_of_plain_numpy():
     expected = {"rmse": np.sqrt(np.mean(error**2)), "mnll": nll.mean(), "mean_std": np.sqrt(variance).mean()}
     for name, value in expected.items():
         np.testing.assert_allclose(row[f"{name}_region"], value, rtol=1e-9)
-    assert {name: row[name] for name in expected} == whole.belief_row(world, belief)
+    assert {name: row[name] for name in expected} == dict(of_whole)
 
 
 def test_a_region_needs_errors_by_step_and_points_of_the_grid():
