@@ -19,6 +19,7 @@ from bojax.problems.actions import Box, Discrete, Mixed
 from bojax.problems.state_checks import check_model
 from bojax.problems.state_space import StateProblem
 from tests.refusals import assert_refused, without_annotation_checks
+from tests.tiers import by_tier
 
 NUMBERS = [
     "",
@@ -166,7 +167,9 @@ STATE_PROBLEMS = sorted(
 )
 
 
-@pytest.mark.parametrize("kind", STATE_PROBLEMS)
+@pytest.mark.parametrize(
+    "kind", by_tier(STATE_PROBLEMS, normal=["tiger", "light-dark", "lqg", "vdp-tag", "uncertain-pose"])
+)
 def test_shipped_problems_would_pass(kind, monkeypatch):
     problem = build(kinds("problem")[kind]())
     monkeypatch.setattr(type(problem), "__module__", "somebody.elses")
