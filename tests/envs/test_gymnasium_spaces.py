@@ -159,6 +159,6 @@ def test_a_learner_learns_on_parts_and_its_policy_takes_them():
 
 def test_blackjack_is_played():
     env = {"kind": "gymnasium", "id": "Blackjack-v1", "max_steps": 12}
-    trained = train(env, {"kind": "emu-q", "features": {"num_features": 16}, "refit": "sweeps"}, episodes=2)
+    trained = train(env, {"kind": "rff-q", "features": {"num_features": 16}}, episodes=2)
     assert trained.experiment.env.observation_space.num_dims == 32 + 11 + 2
     assert trained.policy()((14, 10, 0)) in (0, 1)
