@@ -62,6 +62,7 @@ def kernels(monkeypatch):
     return begin
 
 
+@jax.jit
 def stacked(modules):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *modules)
 
@@ -72,7 +73,8 @@ def grown(planners, problems):
     search = eqx.filter_vmap(
         lambda planner, problem, key, pose: planner.search(key, problem, pose), axis_name=LANES
     )
-    return eqx.filter_jit(search)(planners, problems, keys, f64([POSES[name] for *_, name in LANE_SETTINGS]))
+    poses = f64([POSES[name] for *_, name in LANE_SETTINGS])
+    return jax.device_get(eqx.filter_jit(search)(planners, problems, keys, poses))
 
 
 @pytest.mark.parametrize("name", by_tier(PROGRAMS, normal=["depth 3"]))
