@@ -30,6 +30,7 @@ from tests.reference import belief_search as reference
 from tests.tiers import by_tier
 
 KEY = 5  # of a search
+BINARY = {"problem": BinaryDrift, "leaf_value": StateValue()}
 
 
 def search(planner, problem, belief):
@@ -63,7 +64,7 @@ def compare(tree, node, expected):
         ("pft", {"sensor_noise": 0.0}),  # no particle has a weight
         ("pomcpow", {}),
         pytest.param("pomcpow", {"discrete": True, "leaf_value": StateValue()}, marks=pytest.mark.slow),
-        ("pomcpow", {"problem": BinaryDrift}),  # both observations of every action
+        ("pomcpow", BINARY),  # both observations of every action
         pytest.param(
             "pomcpow",
             {"problem": BinaryDrift, "discrete": True, "observation_widening": (1.0, 0.1)},
@@ -227,20 +228,20 @@ def test_beliefs_without_weights_or_living_states_give_no_nan(name, published):
             assert totals_by_action(tree)[ROOT, :, 0].sum() == ITERATIONS
 
 
-@pytest.mark.parametrize("name, kind", [("pft", Drift), ("pomcpow", Drift), ("pomcpow", BinaryDrift)])
-def test_a_lane_of_a_batch_is_a_search_of_its_own(name, kind):
-    problem = drift(kind=kind)
+@pytest.mark.parametrize("name, changes", [("pft", {}), ("pomcpow", {}), ("pomcpow", BINARY)])
+def test_a_lane_of_a_batch_is_a_search_of_its_own(name, changes):
+    problem = drift(kind=changes.get("problem", Drift))
     keys = jax.random.split(jax.random.key(2), 3)
     beliefs = [belief_of(problem, seed=seed) for seed in range(3)]
     together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)
-    one = planner(name, ITERATIONS)
+    one = planner(name, ITERATIONS, **changes)
     in_batch = jax.vmap(lambda key, belief: one.search(key, problem, belief), axis_name=LANES)
     batch = eqx.filter_jit(in_batch)(jnp.copy(keys), together)
     for lane, belief in enumerate(beliefs):
         tree = belief_searches.search(one, keys[lane], problem, belief)
         np.testing.assert_array_equal(batch.totals[lane, ..., 0], tree.totals[..., 0])
         np.testing.assert_allclose(batch.totals[lane, ..., 1], tree.totals[..., 1], rtol=1e-9, atol=1e-9)
-        if kind is BinaryDrift:
+        if changes:
             np.testing.assert_array_equal(batch.beliefs.count[lane], tree.beliefs.count)
 
 
@@ -295,7 +296,8 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
 def test_the_first_action_of_the_root_is_that_of_the_policy_and_capacities_stop_widening(name):
     problem = drift()
     policy = lambda problem, key, belief: jnp.full((1,), 0.125)  # noqa: E731
-    limited = planner(name, 200, first_action=policy, max_actions=2, max_branches=1)
+    settings = {"first_action": policy, "max_actions": 2, "max_branches": 1, "leaf_value": StateValue()}
+    limited = planner(name, 200, **settings)
     tree = search(limited, problem, belief_of(problem))
     visits, actions = totals_by_action(tree)[..., 0], np.asarray(tree.parameters)[tree.children][..., 0]
     is_policys = (actions == 0.125) & (visits > 0.0)

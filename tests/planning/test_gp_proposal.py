@@ -15,6 +15,7 @@ from bojax.engine.build import build
 from bojax.models.kernels import RBF
 from bojax.numerics.lanes import LANES
 from bojax.planning.gp_proposal import GaussianProcessProposal
+from bojax.planning.leaf_values import StateValue
 from bojax.planning.proposals import RandomProposal, VoronoiProposal
 from bojax.planning.tree import ROOT
 from bojax.problems.actions import Mixed
@@ -158,7 +159,7 @@ def test_it_finds_the_best_of_many_actions_sooner_than_random_ones():
 def test_no_iteration_copies_arrays_of_all_nodes(rule):
     """With copies, the time of a search grows with the square of its iterations."""
     problem, num_nodes = drift(), 312  # no other array has this length
-    one = planner("pomcpow", num_nodes - 1, proposal=rule)
+    one = planner("pomcpow", num_nodes - 1, proposal=rule, leaf_value=StateValue())
     searches = jax.jit(
         jax.vmap(lambda key, belief: one.search(key, problem, belief), (0, None), axis_name=LANES)
     )

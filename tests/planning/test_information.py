@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bojax.planning.leaf_values import StateValue
 from bojax.planning.pft import ENTROPY_FLOOR, BeliefStep, ParticleSet, entropy
 from bojax.planning.tree import ROOT
 from tests.planning.belief_searches import belief_of, drift, number, planner, search
@@ -30,7 +31,7 @@ def test_the_entropy_is_that_of_a_gaussian():
 def test_rewards_are_raised_by_the_entropy_taken():
     problem = drift(sensor_noise=0.2, end=50.0)
     belief = belief_of(problem, 400)
-    settings = {"num_particles": 200, "iterations": 60}
+    settings = {"num_particles": 200, "iterations": 20, "leaf_value": StateValue()}
     trees = {}
     for weight in (None, 0.0, 3.0):
         of_weight = eqx.tree_at(

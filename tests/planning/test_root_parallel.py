@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bojax.numerics.lanes import LANES
+from bojax.planning.leaf_values import StateValue
 from bojax.planning.root_parallel import recommended_by_all
 from bojax.planning.settings import POMCPOW
 from bojax.planning.tree import RootActions
@@ -54,7 +55,7 @@ def plan(planner, key, problem, belief):
 def test_a_plan_pools_the_trees_of_its_keys(name):
     problem = drift()
     belief = belief_of(problem)
-    one, several = planner(name, ITERATIONS), planner(name, ITERATIONS, trees=TREES)
+    one, several = (planner(name, ITERATIONS, trees=trees, leaf_value=StateValue()) for trees in (1, TREES))
     trees = [
         search(one, each, problem, belief).root_actions()
         for each in jax.random.split(jax.random.key(3), TREES)
@@ -72,7 +73,7 @@ def test_a_plan_pools_the_trees_of_its_keys(name):
 def test_a_batch_of_plans_has_those_of_single_ones():
     problem = drift()
     belief = belief_of(problem)
-    several = planner("pomcpow", ITERATIONS, trees=TREES)
+    several = planner("pomcpow", ITERATIONS, trees=TREES, leaf_value=StateValue())
     batch = jax.vmap(lambda key: plan(several, key, problem, belief), axis_name=LANES)(
         jax.random.split(jax.random.key(4), 3)
     )
