@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.planning.tree import ROOT, UNVISITED
-from tests.planning.samples import FIELD_POSES, f64, field_belief, kcbts, monitoring, path_of
+from tests.planning.samples import FIELD_POSES, f64, field_belief, kcbts, monitoring, path_of, plan
 from tests.planning.test_probes import START, Target
 
 TARGET = path_of(kcbts().motions, f64((0.5, 0.4, 0.3)))[-1, :2]
@@ -61,10 +61,11 @@ def test_the_rewards_of_candidates_are_those_of_the_tree():
 
 
 def test_measuring_changes_no_plan():
-    problem = monitoring()
-    belief = field_belief(problem, next(iter(FIELD_POSES.values())), 7, seed=0)
-    plan = eqx.filter_jit(lambda planner, key: planner.plan(key, problem, belief))
-    plain, measured = (plan(kcbts(measures_shortfall=each), jax.random.key(0)) for each in (False, True))
+    problem = Target(f64(0.0), f64(0.0), TARGET)
+    plain, measured = (
+        plan(kcbts(depth=2, measures_shortfall=each), jax.random.key(0), problem, f64(START))
+        for each in (False, True)
+    )
     assert plain.measured == {} and set(measured.measured) == {"shortfall"}
     np.testing.assert_allclose(plain.action, measured.action, atol=1e-12)
     np.testing.assert_allclose(plain.value, measured.value, atol=1e-9)
