@@ -9,6 +9,7 @@ from jax.scipy.stats import norm
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
+from bojax.models.checks import compiled_if_known
 from bojax.problems import particles
 from bojax.problems.actions import Discrete
 from bojax.problems.particles import Particles
@@ -44,9 +45,13 @@ class LightDark(ReadingProblem):
     action_values: Float[Array, "S A"] | None = None
 
     def __post_init__(self) -> None:
-        """Solve the problem with states observed: fewer moves than there are states lead anywhere."""
-        if self.action_values is not None:
-            return
+        """Solve the problem with states observed."""
+        if self.action_values is None:
+            self.action_values = self._solved()
+
+    @compiled_if_known
+    def _solved(self) -> Float[Array, "S A"]:
+        """Values of actions: fewer moves than there are states lead anywhere."""
         states = jnp.arange(-self.radius, self.radius + 1, dtype=jnp.int32).astype(self.discount.dtype)
         step = jax.vmap(jax.vmap(self._step, (None, 0)), (0, None))
         next_states, rewards, ended = step(states, self.moves)
@@ -55,7 +60,7 @@ class LightDark(ReadingProblem):
             return jnp.max(self._backed_up(values, next_states, rewards, ended), axis=1)
 
         values = jax.lax.fori_loop(0, states.shape[0], sweep, jnp.full_like(states, self.wrong_stop_reward))
-        self.action_values = self._backed_up(values, next_states, rewards, ended)
+        return self._backed_up(values, next_states, rewards, ended)
 
     @override
     def sketch(self, state: Float[Array, "1"]) -> dict[str, Float[Array, "1"]]:
