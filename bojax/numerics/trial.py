@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array
 
 from bojax.text import error_at_line, place_of
@@ -76,15 +77,16 @@ def computed(function: Callable[..., Any], *parts: Any) -> Any:
     """What a function of parts and a key returns, as NumPy arrays, or a `Misfit` if it is not pure.
 
     Args:
-        function: A module-level function, so that JAX caches its program.
+        function: A module-level function of arrays alone, so that its program is kept.
         parts: Modules whose arrays are known.
     """
-    found = [jax.tree.map(np.asarray, eqx.filter_jit(function)(*parts, jax.random.key(1))) for _ in range(2)]
-    agree = jax.tree.map(lambda *two: np.array_equal(*two, equal_nan=True), *found)
-    if not all(jax.tree.leaves(agree)):
-        raise Misfit(_IMPURE)
     require_equal_traces(function, *parts)
-    return found[0]
+    _, program, structure = _traced(function, *shapes(parts))
+    arrays = [x for x in jax.tree.leaves(parts) if hasattr(x, "shape")]
+    found = [[np.asarray(x) for x in program(*arrays, jax.random.key(1))] for _ in range(2)]
+    if not all(np.array_equal(*two, equal_nan=True) for two in zip(*found, strict=True)):
+        raise Misfit(_IMPURE)
+    return jax.tree.unflatten(structure, found[0])
 
 
 _IMPURE = "not pure: two calls with equal arguments differ; allowed: random numbers of the key alone"
@@ -92,22 +94,24 @@ _IMPURE = "not pure: two calls with equal arguments differ; allowed: random numb
 
 def require_equal_traces(function: Callable[..., Any], *parts: Any) -> None:
     """Raise a `Misfit` if two traces of a module-level function of parts and a key are not one program."""
-    if not _traces_agree(function, *shapes(parts)):
+    if not _traced(function, *shapes(parts))[0]:
         raise Misfit(_IMPURE)
 
 
 @functools.lru_cache
-def _traces_agree(function: Callable[..., Any], *parts: Any) -> bool:
-    """Whether two traces are the same program: a number from Python's generators is a constant of it.
+def _traced(function: Callable[..., Any], *parts: Any) -> tuple[bool, Callable[..., Any], Any]:
+    """Whether two traces are the same program, the program, and the structure of what it returns.
 
-    The arrays of `parts` are given by their shapes, so that points of a sweep share the traces.
+    A number from Python's generators is a constant of a program. The arrays of `parts` are given by their
+    shapes, so that points of a sweep share the traces.
     """
-    programs = []
-    for _ in range(2):
-        program = eqx.filter_make_jaxpr(function)(*parts, jax.random.key(1))[0]
-        constants = [np.asarray(x).tobytes() for x in program.consts]
-        programs.append((re.sub(r"0x[0-9a-f]+", "", str(program)), constants))
-    return programs[0] == programs[1]
+    traces = [eqx.filter_make_jaxpr(function)(*parts, jax.random.key(1)) for _ in range(2)]
+    first, second = (
+        (re.sub(r"0x[0-9a-f]+", "", str(program)), [np.asarray(x).tobytes() for x in program.consts])
+        for program, *_ in traces
+    )
+    program, returned, _ = traces[0]
+    return first == second, jax.jit(jaxpr_as_fun(program)), jax.tree.structure(returned)
 
 
 @functools.cache
