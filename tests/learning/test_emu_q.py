@@ -350,9 +350,11 @@ def test_blocks_of_a_refit_do_not_matter_nor_whether_features_are_stored_or_reco
         np.testing.assert_allclose(means[0], mean, atol=1e-9)
 
 
-@pytest.mark.parametrize("schema", [EMUQ, EMUQPublished])
-def test_without_learning_nothing_changes(schema):
-    learner, state = make(schema, refit_rewards="stored")
+@pytest.mark.parametrize(
+    ("schema", "settings"), [(EMUQ, {"refit_rewards": "stored"}), (EMUQPublished, {"refit": "sweeps"})]
+)
+def test_without_learning_nothing_changes(schema, settings):
+    learner, state = make(schema, **settings)
     _, state = learn(learner, state, transitions())
     online, after = learn(learner, state, transitions(1), exploring(is_learning=False))
     for before, now in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):

@@ -62,12 +62,13 @@ def test_branches_are_other_observations_of_one_path():
     problem = monitoring(**OPEN)
     belief = seen(problem)
     tree = search(path_dpw(max_actions=2), jax.random.key(0), problem, belief)
+    path_of = jax.jit(lambda parameters: place(cubic_curves().path(parameters), belief.pose))
     for slot in range(2):
         action = int(tree.children[ROOT, slot])
         branches = np.asarray(tree.branches[action])
         nodes = jax.tree.map(lambda leaf, at=branches[branches > 0]: leaf[at], tree.beliefs)
         assert len(nodes.rows) >= 4
-        path = place(cubic_curves().path(tree.parameters[action]), belief.pose)
+        path = path_of(tree.parameters[action])
         first = slice(0, NUM_SAMPLES)  # samples of the first path; the others are of later ones
         for points in nodes.points[:, first]:
             np.testing.assert_allclose(points, path[:, :2], atol=1e-12)
