@@ -256,9 +256,6 @@ def test_names_of_methods_of_bojax_are_not_given_to_helpers():
     def other(self, state, action, next_state, is_caught):
         return -jnp.sum(next_state**2)
 
-    def same(self, objective, belief, action, events):
-        return 2.0 * events.reward
-
     message = r"^Own.{}: bojax's StateProblem has {}; allowed: the same, or another name$"
     reward = message.format("reward", r"reward\(self, objective, belief, action, events\)")
     assert_refused(
@@ -271,7 +268,6 @@ def test_names_of_methods_of_bojax_are_not_given_to_helpers():
         ],
         TypeError,
     )
-    declared(reward=same)()
 
 
 def test_what_is_static_and_parameters_of_methods_are_checked():
@@ -296,21 +292,26 @@ def test_what_is_static_and_parameters_of_methods_are_checked():
     )
 
 
-def test_particles_need_not_explain_the_observation_of_an_episode_that_ends_at_once():
-    def step(self, key, state, action):
-        return *Line.step(self, key, state, action)[:2], jnp.asarray(True)
-
-    declared(step=step)()
+def angles(turn):
+    return property(lambda self: Box(jnp.zeros(1), jnp.full(1, turn), is_angle=True))
 
 
 def test_angles_have_bounds_one_turn_apart():
-    def actions(turn):
-        return property(lambda self: Box(jnp.zeros(1), jnp.full(1, turn), is_angle=True))
-
     assert_refused(
-        [(declared(actions=actions(2.0)), "^problem: Own: actions: is_angle, but the bounds of Box")]
+        [(declared(actions=angles(2.0)), "^problem: Own: actions: is_angle, but the bounds of Box")]
     )
-    declared(actions=actions(2.0 * np.pi))()
+
+
+def test_a_class_passes_that_has_a_reward_angles_and_episodes_that_end_at_once():
+    """The particles need not explain the observation of such an episode."""
+
+    def reward(self, objective, belief, action, events):
+        return 2.0 * events.reward
+
+    def step(self, key, state, action):
+        return *Line.step(self, key, state, action)[:2], jnp.asarray(True)
+
+    declared(reward=reward, actions=angles(2.0 * np.pi), step=step)()
 
 
 def test_wrong_shapes_are_refused():
