@@ -296,8 +296,7 @@ def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
 def test_the_first_action_of_the_root_is_that_of_the_policy_and_capacities_stop_widening(name):
     problem = drift()
     policy = lambda problem, key, belief: jnp.full((1,), 0.125)  # noqa: E731
-    settings = {"first_action": policy, "max_actions": 2, "max_branches": 1, "leaf_value": StateValue()}
-    limited = planner(name, 200, **settings)
+    limited = planner(name, 200, first_action=policy, max_actions=2, max_branches=1, leaf_value=StateValue())
     tree = search(limited, problem, belief_of(problem))
     visits, actions = totals_by_action(tree)[..., 0], np.asarray(tree.parameters)[tree.children][..., 0]
     is_policys = (actions == 0.125) & (visits > 0.0)

@@ -62,10 +62,8 @@ def test_the_rewards_of_candidates_are_those_of_the_tree():
 
 def test_measuring_changes_no_plan():
     problem = Target(f64(0.0), f64(0.0), TARGET)
-    plain, measured = (
-        plan(kcbts(depth=2, measures_shortfall=each), jax.random.key(0), problem, f64(START))
-        for each in (False, True)
-    )
+    planners = (kcbts(depth=2, measures_shortfall=each) for each in (False, True))
+    plain, measured = (plan(each, jax.random.key(0), problem, f64(START)) for each in planners)
     assert plain.measured == {} and set(measured.measured) == {"shortfall"}
     np.testing.assert_allclose(plain.action, measured.action, atol=1e-12)
     np.testing.assert_allclose(plain.value, measured.value, atol=1e-9)

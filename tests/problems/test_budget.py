@@ -131,7 +131,7 @@ def test_errors_in_a_region_are_those_of_plain_numpy():
         return *rows, *belief.posterior.predict(points), problem.true_field.values(points)
 
     row, of_whole, mean, variance, truth = jax.device_get(computed())
-    row = dict(row)
+    row, of_whole = dict(row), dict(of_whole)
     assert [column.name for column in problem.step_columns][-6:] == list(row)
     x, y = np.asarray(points).T
     counts = (x >= region[0]) & (x <= region[2]) & (y >= region[1]) & (y <= region[3])
@@ -142,7 +142,7 @@ def test_errors_in_a_region_are_those_of_plain_numpy():
     expected = {"rmse": np.sqrt(np.mean(error**2)), "mnll": nll.mean(), "mean_std": np.sqrt(variance).mean()}
     for name, value in expected.items():
         np.testing.assert_allclose(row[f"{name}_region"], value, rtol=1e-9)
-    assert {name: row[name] for name in expected} == dict(of_whole)
+    assert {name: row[name] for name in expected} == of_whole
 
 
 def test_a_region_needs_errors_by_step_and_points_of_the_grid():

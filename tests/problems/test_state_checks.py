@@ -21,21 +21,8 @@ from bojax.problems.state_space import StateProblem
 from tests.refusals import assert_refused, without_annotation_checks
 from tests.tiers import by_tier
 
-NUMBERS = [
-    "",
-    "actions",
-    "bounds",
-    "reward",
-    "value",
-    "no noise",
-    "density",
-    "a constant",
-    "nan",
-    "of the state before",
-    "a smaller noise",
-    "weights",
-    "the other side",
-]
+NUMBERS = ["", *"actions bounds reward value density nan weights".split(), "no noise", "a constant"]
+NUMBERS += ["of the state before", "a smaller noise", "the other side"]
 """Mistakes that are numbers: all are one program, which compiles for longer than any other test runs."""
 
 
@@ -124,10 +111,8 @@ class Coin(Line):
         return jax.random.categorical(key, self._logits(next_state))[None].astype(float)
 
     def log_likelihood(self, observation, state, action, next_state):
-        logs, other = (
-            jax.nn.log_softmax(self._logits(state))[observation[0].astype(int)]
-            for state in (next_state, -next_state)
-        )
+        sides = (jax.nn.log_softmax(self._logits(state)) for state in (next_state, -next_state))
+        logs, other = (side[observation[0].astype(int)] for side in sides)
         wrong = {"density": jnp.exp(logs), "weights": logs + 0.1, "the other side": other}
         return jnp.stack([wrong.get(name, logs) for name in NUMBERS])[self.number]
 
@@ -169,11 +154,10 @@ def test_correct_problems_pass():
 STATE_PROBLEMS = sorted(
     kind for kind, schema in kinds("problem").items() if schema.target.startswith("bojax.problems.pomdp.")
 )
+PASSING = by_tier(STATE_PROBLEMS, normal=["tiger", "light-dark", "lqg", "vdp-tag", "uncertain-pose"])
 
 
-@pytest.mark.parametrize(
-    "kind", by_tier(STATE_PROBLEMS, normal=["tiger", "light-dark", "lqg", "vdp-tag", "uncertain-pose"])
-)
+@pytest.mark.parametrize("kind", PASSING)
 def test_shipped_problems_would_pass(kind, monkeypatch):
     problem = build(kinds("problem")[kind]())
     monkeypatch.setattr(type(problem), "__module__", "somebody.elses")
@@ -307,12 +291,10 @@ def test_angles_have_bounds_one_turn_apart():
 
 
 def test_a_class_passes_that_has_a_reward_angles_and_episodes_that_end_at_once():
-    """The particles need not explain the observation of such an episode."""
-
     def reward(self, objective, belief, action, events):
         return 2.0 * events.reward
 
-    def step(self, key, state, action):
+    def step(self, key, state, action):  # particles need not explain the observation
         return *Line.step(self, key, state, action)[:2], jnp.asarray(True)
 
     declared(reward=reward, actions=angles(2.0 * np.pi), step=step)()
@@ -340,14 +322,8 @@ def test_probabilities_of_finite_observations_sum_to_1():
 
 
 def test_finite_observations_have_the_probabilities_of_their_draws():
-    assert_refused(
-        [
-            (
-                refused(line("the other side", Coin)),
-                "the probability .*, but observe returns it in .*% of draws",
-            )
-        ]
-    )
+    message = "the probability .*, but observe returns it in .*% of draws"
+    assert_refused([(refused(line("the other side", Coin)), message)])
 
 
 def test_whether_observations_come_again_is_checked():
