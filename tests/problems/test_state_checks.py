@@ -154,7 +154,7 @@ def test_correct_problems_pass():
 STATE_PROBLEMS = sorted(
     kind for kind, schema in kinds("problem").items() if schema.target.startswith("bojax.problems.pomdp.")
 )
-PASSING = by_tier(STATE_PROBLEMS, normal=["tiger", "light-dark", "lqg", "vdp-tag", "uncertain-pose"])
+PASSING = by_tier(STATE_PROBLEMS, normal=["tiger", "light-dark", "light-dark-nd", "vdp-tag", "uncertain-pose"])
 
 
 @pytest.mark.parametrize("kind", PASSING)
