@@ -49,11 +49,15 @@ class Walk(Env):
         return {"place": place, "size": size, "has_moved": jnp.ones((), bool)}, step
 
 
-def history(run, lanes=4, advances=None):
+def compiled(run):
+    return jax.jit(jax.vmap(run.advance, axis_name=LANES), compiler_options=REPEATABLY)
+
+
+def history(run, lanes=4, advances=None, advance=None):
     """Summaries and rows of all advances of some lanes, and the number of advances."""
+    advance = advance or compiled(run)
     keys = jax.random.split(jax.random.key(3), lanes)
-    carry = jax.vmap(run.init, axis_name=LANES)(keys)
-    advance = jax.jit(jax.vmap(run.advance, axis_name=LANES), compiler_options=REPEATABLY)
+    carry = jax.jit(jax.vmap(run.init, axis_name=LANES))(keys)
     found, steps = [], np.zeros(lanes, int)
     for _ in range(advances or run.max_advances):
         if not advances and np.all(carry.is_done):
@@ -71,7 +75,7 @@ def history(run, lanes=4, advances=None):
         }
         for lane in range(lanes)
     ]
-    return carry, jax.vmap(run.summary)(carry), tables, len(found)
+    return carry, jax.jit(jax.vmap(run.summary))(carry), tables, len(found)
 
 
 def run_of(learner, **settings):
@@ -82,8 +86,10 @@ def run_of(learner, **settings):
 @pytest.mark.parametrize(
     ("learner", "settings"),
     [
-        ({"kind": "rff-q", "features": {"num_features": 20}}, {"stop": "first-success"}),
-        ({"kind": "rff-q", "features": {"num_features": 20}}, {"schedule": {"kind": "decay", "rate": 0.3}}),
+        (
+            {"kind": "rff-q", "features": {"num_features": 20}},
+            {"stop": "first-success", "schedule": {"kind": "decay", "rate": 0.3}},
+        ),
         ("dora", {"action_repeat": 3, "starts": "per-run"}),
         ({"kind": "bootstrapped-q", "width": 8}, {"episodes": 5}),
     ],
@@ -103,21 +109,17 @@ def test_episodes_do_not_depend_on_those_of_other_lanes(learner, settings, monke
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9), tables, expected_tables)
 
 
-def test_an_advance_has_no_more_episodes_and_steps_than_there_is_room_for(monkeypatch):
+def test_an_advance_is_as_long_as_there_is_room_for_and_a_run_that_has_ended_stays_as_it_is(monkeypatch):
     monkeypatch.setattr(back_to_back, "MOST_EPISODES", 3)
-    run = run_of("dora", env=Walk(jnp.zeros((), jnp.float64), max_steps=2), episodes=8)
-    carry, _, tables, _ = history(run, advances=1)
+    run = run_of("dora", env=Walk(jnp.asarray(0.01, jnp.float64), max_steps=2), episodes=8)
+    advance = compiled(run)
+    carry, _, tables, _ = history(run, advances=1, advance=advance)
     np.testing.assert_array_equal(carry.episode, 3)
     assert all(list(of["episodes"]["length"]) == [2, 2, 2] for of in tables)
-    carry, _, _, _ = history(run, advances=3)
+    carry, _, _, _ = history(run, advances=3, advance=advance)
     np.testing.assert_array_equal(carry.episode, 8)
     assert run.max_advances == 3 and np.all(carry.is_done)
-
-
-def test_a_run_that_has_ended_stays_as_it_is():
-    run = run_of("dora", episodes=3)
-    carry, _, _, _ = history(run)
-    after, records = jax.jit(jax.vmap(run.advance, axis_name=LANES))(carry)
+    after, records = advance(carry)
     assert not np.any(records.tables["episodes"]["valid"]) and not np.any(records.tables["steps"]["valid"])
     np.testing.assert_array_equal(records.active_steps, 0)
     before, after = (jax.tree.map(_plain, state) for state in (carry, after))
