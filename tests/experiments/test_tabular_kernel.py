@@ -116,7 +116,7 @@ class Astray(EpsilonGreedy):
 
 
 def test_actions_that_there_are_not_are_not_learned(monkeypatch):
-    run = run_of()
+    run = run_of(tests=0)
     run = eqx.tree_at(lambda r: r.learner, run, Astray(**vars(run.learner)))
     (carry, by_kernel), (_, by_xla), _ = both(monkeypatch, run)
     assert (np.asarray(carry.learner.visits).sum((1, 2)) < np.asarray(carry.steps)).all()
@@ -228,11 +228,12 @@ def test_a_gpu_gets_the_kernel_and_a_cpu_the_loop(monkeypatch, env):
 
 
 @pytest.mark.parametrize(
-    ("env", "tests_learn"), [(Known, "no"), (Known, "exploiting"), (Rich, "no"), (Chancy, "no")]
+    ("env", "settings"),
+    [(Known, {}), (Known, {"tests_learn": "exploiting"}), (Rich, {"tests": 0}), (Chancy, {"tests": 0})],
 )
-def test_what_is_known_of_a_step_is_known_to_a_kernel(monkeypatch, env, tests_learn):
+def test_what_is_known_of_a_step_is_known_to_a_kernel(monkeypatch, env, settings):
     rounding = 1e-6 if env is Chancy else 1e-12  # whose noise is drawn in 32 bits
-    run = run_of(tests_learn=tests_learn)
+    run = run_of(**settings)
     run = eqx.tree_at(lambda r: r.env, run, env(**vars(run.env)))
     (_, by_kernel), (_, by_xla), _ = both(monkeypatch, run)
     for found, expected in zip(by_kernel, by_xla, strict=True):
