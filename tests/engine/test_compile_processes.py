@@ -55,18 +55,9 @@ def chains():
 
 
 @pytest.mark.bits
-def test_the_parent_compiles_nothing_and_writes_the_same_bytes(enough, tmp_path):
-    before = batch.compile_counts.total()
-    assert run_sweep(chains(), tmp_path / "beside") == 0
-    assert batch.compile_counts.total() == before
-    with pytest.MonkeyPatch.context() as patch, caching_in(tmp_path / "other"):
-        patch.setattr(compile_processes, "LEAST_GROUPS", 3)
-        assert run_sweep(chains(), tmp_path / "alone") == 0
-    assert batch.compile_counts.total() > before
-    assert contents(tmp_path / "beside") == contents(tmp_path / "alone")
-
-
-def test_groups_are_compiled_while_other_sweeps_are_planned(enough, here, monkeypatch):
+def test_children_compile_while_other_sweeps_are_planned_and_the_parent_writes_the_same_bytes(
+    enough, here, monkeypatch
+):
     begun, begin = [], CompileProcesses.begin
     monkeypatch.setattr(
         CompileProcesses, "begin", lambda self, request: begin(self, request) and not begun.append(request)
@@ -80,6 +71,11 @@ def test_groups_are_compiled_while_other_sweeps_are_planned(enough, here, monkey
     assert run_sweeps(requests, False, ["bojax"]) == 0
     assert batch.compile_counts.total() == before
     assert len(begun) == len({request.key for request in begun}) > 1
+    with pytest.MonkeyPatch.context() as patch, caching_in(here / "other"):
+        patch.setattr(compile_processes, "LEAST_GROUPS", 3)
+        assert run_sweep(chains(), here / "alone") == 0
+    assert batch.compile_counts.total() > before
+    assert contents(here / sweeps[0].name) == contents(here / "alone")
 
 
 def test_who_asks_for_programs_that_are_begun_waits_for_them(enough, monkeypatch):
