@@ -127,11 +127,7 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
         jnp.asarray(points),
         jnp.asarray((values - values.mean()) / scale),
     )
-    # A broad prior: few or clustered points determine a lengthscale poorly.
-    prior = log_normal_prior(gp.kernel, gp.noise_variance, jnp.asarray(1.0))
-    learned, _ = eqx.filter_jit(relearn)(
-        gp, jax.random.key(0), learn_mean=True, log_prior=prior, num_starts=4
-    )
+    learned = _learned(gp)
     assert isinstance(learned.kernel, Scaled) and isinstance(learned.kernel.kernel, Matern52)
     found = float(learned.kernel.kernel.lengthscale)
     assert isinstance(learned.mean, ConstantMean)
@@ -139,6 +135,15 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     std, noise = scale * float(learned.kernel.variance) ** 0.5, scale * float(learned.noise_variance) ** 0.5
     source = f"learned from {len(values)} values of {Path(file).name}"
     return FieldModel(lengthscale or found, std, noise, source, mean, seen, tuple(notes), read)
+
+
+@eqx.filter_jit  # with the prior, whose medians would else be constants of a program of their own
+def _learned(gp: GaussianProcess) -> GaussianProcess:
+    """The process with learned hyper-parameters, mean and noise."""
+    # A broad prior: few or clustered points determine a lengthscale poorly.
+    prior = log_normal_prior(gp.kernel, gp.noise_variance, jnp.asarray(1.0))
+    learned, _ = relearn(gp, jax.random.key(0), learn_mean=True, log_prior=prior, num_starts=4)
+    return learned
 
 
 def _distances(points: np.ndarray, place: Place) -> np.ndarray:

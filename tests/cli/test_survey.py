@@ -179,7 +179,7 @@ def test_an_area_and_an_earlier_survey_are_both_drawn(tmp_path, monkeypatch):
 
     monkeypatch.setattr(surveying, "draw_scale", draw)
     prior, out = tmp_path / "prior.csv", tmp_path / "out"
-    rows = np.random.default_rng(0).uniform(0.0, 80.0, (30, 3))
+    rows = np.random.default_rng(0).uniform(0.0, 80.0, (200, 3))  # as many as the model of other tests
     prior.write_text("x,y,Salt (PSU)\n" + "\n".join(",".join(map(repr, row)) for row in rows.tolist()))
     planned(out, write_ascii(tmp_path / "a.asc"), "--prior", str(prior), "--budget", "300", "--lawnmower")
     with np.load(out / "survey.npz") as arrays:
