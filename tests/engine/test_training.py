@@ -91,7 +91,7 @@ def test_an_exception_in_the_callback_ends_the_training():
         raise StopIteration("enough")
 
     with pytest.raises(StopIteration, match="enough"):
-        train(CHAIN, "additive", runs=3, callback=fail, **HOW)
+        train(CHAIN, "additive", runs=3, schedule=Budget(episodes=2), callback=fail, **HOW)
     assert len(calls) == 1
 
 
