@@ -142,8 +142,7 @@ def test_the_least_expected_error_over_a_region_is_proposed_and_curves_fall(tmp_
     assert candidates[0]["errors"][-1] == min(each["errors"][-1] for each in candidates)
     for each in candidates:
         assert np.all(np.diff(each["errors"]) <= 1e-12)
-        assert each["errors"][0] == pytest.approx(1.0)
-        assert each["length"] <= 600.0 + 1e-6
+        assert each["errors"][0] == pytest.approx(1.0) and each["length"] <= 600.0 + 1e-6
     assert not (out / "waypoints.plan").exists()  # no place on the Earth
     assert json.loads((out / "waypoints.geojson").read_text())["crs"] is None
 

@@ -335,9 +335,8 @@ def test_choices_of_parts_and_texts_are_part_of_the_search(tmp_path, capsys):
         "learner.ties=random,first",
         *CHAIN[:-1],
         *OPTIONS,
-        "--batch=2",  # a program for each choice of both, and another for two points of one choice
     ]
-    assert main(["tune", *words, "--budget", "16", "--out", str(tmp_path / "search")]) == 0
+    assert main(["tune", *words, "--batch=2", "--budget", "16", "--out", str(tmp_path / "search")]) == 0
     tuning = read_tuning(tmp_path / "search")
     kinds = {axis.key: getattr(axis, "values", None) for axis in tuning.ranges}
     choices = {"learner": ("exploration-values", "additive"), "learner.ties": ("random", "first")}
