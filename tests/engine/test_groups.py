@@ -66,7 +66,7 @@ def test_the_module_of_a_lane():
         ("fig-4.4", [2, 2, 4, 1]),  # kCBTS and its copies, GPS-ABT, SBO with any number of actions, random
         ("fig-4.6", [3, 4, 2, 1]),
         ("table-4.1-times", [1, 3, 1, 3]),
-        ("table-5.3-mountain-car", [1, 1, 2, 1, 1, 1, 1]),  # DORA with both policies
+        ("table-5.3-mountain-car", [1, 2, 2, 1, 1, 1]),  # RFF-Q with both rewards, DORA with both policies
         ("fig-5.6b", [10, 10]),  # chains of any length
     ],
 )
