@@ -5,6 +5,8 @@ Salmon et al., Parallel random numbers: as easy as 1, 2, 3 (SC 2011): 13 rounds 
 """
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.extend as jex
@@ -81,12 +83,21 @@ _IMPLEMENTATION = jex.random.define_prng_impl(
 
 
 def simulation_key(key: Key[Array, ""]) -> Key[Array, ""]:
-    """The key of a simulation, seeded by a key of any kind.
-
-    `jax.random.poisson` does not take it, and `jax.random.gamma`, which `beta`, `dirichlet`, `t` and `ball`
-    call, draws one number after the other with it, also of a batch.
-    """
+    """The key of a simulation, seeded by a key of any kind, see `takes_simulation_keys`."""
     return jax.random.wrap_key_data(jax.random.bits(key, (2,), jnp.uint32), impl=_IMPLEMENTATION)
+
+
+def takes_simulation_keys(draw: Callable[[Key[Array, ""]], Any]) -> bool:
+    """Whether a function draws as well with a simulation key as with a key of JAX's.
+
+    `jax.random.poisson` takes the latter alone. `jax.random.gamma`, which `beta`, `dirichlet`, `t` and `ball`
+    call, draws one number after the other for all other keys, also in a batch: a GPU takes long for that.
+    """
+    try:
+        program = jax.make_jaxpr(draw)(jax.eval_shape(simulation_key, jax.random.key(0)))
+    except NotImplementedError:
+        return False
+    return "random_gamma" not in str(program)
 
 
 def random_index(key: Key[Array, ""], count: Int[Array, ""]) -> Int[Array, ""]:

@@ -6,6 +6,7 @@ Sunberg and Kochenderfer, Online algorithms for POMDPs with continuous state, ac
 
 import abc
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -15,11 +16,12 @@ from jaxtyping import Array, Bool, Float, Int, Key, Num
 
 from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane, in_own_kernel, largest_in_lanes, write_row
-from bojax.numerics.simulation_keys import random_index, simulation_key
+from bojax.numerics.simulation_keys import random_index, simulation_key, takes_simulation_keys
 from bojax.planning.proposals import Proposal
 from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Tree, row, upper_bound
 from bojax.planning.widening import Widening
 from bojax.problems.actions import Discrete
+from bojax.problems.state_model import StateModel
 
 RECOMMENDATIONS = "value", "visits"
 """Rules by which a search recommends an action: the highest value, or the most visits."""
@@ -155,12 +157,7 @@ class BeliefTreeSearch(eqx.Module):
 
     def search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Tree:
         """The tree after all iterations."""
-        try:
-            return self._search(simulation_key(key), problem, belief)
-        except NotImplementedError:  # `jax.random.poisson` takes JAX's own keys alone
-            return self._search(jax.random.clone(key), problem, belief)
-
-    def _search(self, key: Key[Array, ""], problem: Model, belief: Belief) -> Tree:
+        key = simulation_key(key) if takes_simulation_keys(partial(_drawn, problem)) else key
         key_root, key_states, key_first, key_search = jax.random.split(key, 4)
         space = problem.actions
         num_actions = space.count if isinstance(space, Discrete) else self.max_actions
@@ -429,3 +426,13 @@ class _Descent(eqx.Module):
     # Action node chosen at each level; past the end for levels that were not reached
     actions: Int[Array, "H"]
     rewards: Float[Array, "H"]  # reward of the branch followed at each level
+
+
+def _drawn(problem: Model, key: Key[Array, ""]) -> Any:
+    """What a state problem draws in a search."""
+    if not isinstance(problem, StateModel):
+        return None
+    of_state, of_action, of_step, of_reading = jax.random.split(key, 4)
+    state, action = problem.initial(of_state), problem.actions.decode(problem.actions.sample(of_action))
+    after, *rest = problem.step(of_step, state, action)
+    return rest, problem.observe(of_reading, state, action, after)

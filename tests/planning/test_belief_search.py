@@ -246,18 +246,34 @@ def test_a_lane_of_a_batch_is_a_search_of_its_own(name, changes):
 
 
 class Arrivals(Drift):
-    """A drift with a draw that takes JAX's own keys alone."""
+    """A drift with draws that suit JAX's own keys alone."""
+
+    draw = staticmethod(jax.random.poisson)
 
     def step(self, key, state, action):
         key, own = jax.random.split(key)
         after, reward, is_terminal = super().step(key, state, action)
-        return after + jax.random.poisson(own, 3.0, after.shape).astype(after.dtype), reward, is_terminal
+        return after + self.draw(own, 3.0, after.shape).astype(after.dtype), reward, is_terminal
 
 
-def test_a_model_may_draw_poisson_numbers():
-    problem = drift(kind=Arrivals)
+class Waits(Arrivals):
+    draw = staticmethod(jax.random.gamma)
+
+
+@pytest.mark.parametrize("kind", [Arrivals, Waits])
+def test_a_model_may_draw_numbers_that_take_keys_of_jax(kind):
+    problem = drift(kind=kind)
     tree = search(planner("pft", 20), problem, belief_of(problem))
     assert totals_by_action(tree)[ROOT, :, 0].sum() == 20
+    kinds = set()
+
+    def step(self, key, state, action):
+        kinds.add(str(jax.random.key_impl(key)))
+        return kind.step(self, key, state, action)
+
+    observed = drift(kind=type("Observed", (kind,), {"step": step}))
+    search(planner("pft", 20), observed, belief_of(observed))
+    assert "threefry2x32" in kinds
 
 
 def test_voronoi_proposals_lie_in_the_cell_of_the_best_action():
