@@ -158,9 +158,11 @@ def constrained(
     def violation(acceleration: jax.Array) -> jax.Array:
         return jacobian @ acceleration - efc.efc_aref
 
-    def cost(acceleration: jax.Array, x: jax.Array) -> jax.Array:
-        excess, y = acceleration - data.qacc_smooth, rows.derivative(x)
-        return 0.5 * excess @ (inertia @ excess) + jnp.sum(y * x - 0.5 * y * y / stiffness)
+    # Half of y x within the range of a row, which limits, contacts and equalities leave with y = 0 alone.
+    def cost(x: jax.Array) -> jax.Array:
+        y = rows.derivative(x)
+        is_friction = ~(is_equality | is_limit)
+        return jnp.sum(y * x - 0.5 * jnp.where(is_friction, y * y / stiffness, y * x))
 
     def iterate(loop: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         number, acceleration, x, _ = loop
@@ -173,17 +175,19 @@ def constrained(
         factor = jax.scipy.linalg.cho_factor(hessian)
         direction = -jax.scipy.linalg.cho_solve(factor, inertial + jacobian.T @ rows.derivative(x))
         first, second = direction @ inertial, direction @ (inertia @ direction)
-        size = search(Line(rows, x, jacobian @ direction, first, second))
+        change = jacobian @ direction
+        size = search(Line(rows, x, change, first, second))
         acceleration = acceleration + size * direction
         # If no row has changed sides, the cost was quadratic on the way and its minimum is reached.
-        x = violation(acceleration)
+        x = x + size * change
         return number + 1, acceleration, x, jnp.any(rows.side(x) != before)
 
     # As MJX does: start from the last accelerations, or from the unconstrained ones if those cost less.
     starts = jnp.stack([data.qacc_warmstart, data.qacc_smooth])
-    violations = jax.vmap(violation)(starts)
-    costs = jax.vmap(cost)(starts, violations)
-    start, x = (jnp.where(costs[0] < costs[1], *pair) for pair in (starts, violations))
+    violations, excess = jax.vmap(violation)(starts), data.qacc_warmstart - data.qacc_smooth
+    costs = jax.vmap(cost)(violations)
+    is_warm = costs[0] + 0.5 * excess @ (inertia @ excess) < costs[1]
+    start, x = (jnp.where(is_warm, *pair) for pair in (starts, violations))
     loop = batched_together((jnp.zeros((), jnp.int32), start, x, jnp.ones((), bool)))
     _, acceleration, x, _ = jax.lax.while_loop(
         lambda loop: (loop[0] < model.opt.iterations) & loop[3], iterate, loop
