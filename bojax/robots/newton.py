@@ -158,7 +158,7 @@ def constrained(
     def violation(acceleration: jax.Array) -> jax.Array:
         return jacobian @ acceleration - efc.efc_aref
 
-    # Half of y x within the range of a row, which limits, contacts and equalities leave with y = 0 alone.
+    # Within its range, a row costs y x / 2. Beyond it, limits and contacts cost nothing, and y is 0.
     def cost(x: jax.Array) -> jax.Array:
         y = rows.derivative(x)
         is_friction = ~(is_equality | is_limit)
