@@ -1,6 +1,5 @@
 """`bojax.part`: any part as an object, from its schema, with defaults."""
 
-from collections.abc import Mapping
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -44,16 +43,7 @@ def part(
             raise BojaxError(f"got {shown(kind)}; unknown {role or 'part'}{allowed_names(kind, known, LIST)}")
         if len(owners) > 1:
             raise BojaxError(f"{kind}: needs a role; allowed: {', '.join(owners)}")
-        component = named(
-            owners[0], {"kind": kind, **{key: _plain(value) for key, value in settings.items()}}
-        )
+        component = named(owners[0], {"kind": kind, **settings})
         own: Any = getattr(component, "dtype", jnp.result_type(float).name)
         above = () if component.role == "experiment" else (component.role,)
         return build(component, dtype or own, lambda location: dotted((*above, *location)))
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and arrays of NumPy and JAX as Python's, also in mappings; other values as they are."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return value.tolist() if hasattr(value, "tolist") else value

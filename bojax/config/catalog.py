@@ -4,6 +4,7 @@ The schema classes of a package's parts are in its module `settings`, which load
 """
 
 import importlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,6 +38,13 @@ def named(role: str, part: Any) -> Component:
     slot: Any = Annotated[Component, Slot(role)]
     above = () if role == "experiment" else (role,)
     try:
-        return pydantic.TypeAdapter(slot).validate_python(part)
+        return pydantic.TypeAdapter(slot).validate_python(_plain(part))
     except pydantic.ValidationError as error:
         raise from_validation(error, lambda location: dotted((*above, *location)) or role) from error
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of NumPy and JAX as Python's, also in mappings; other values as they are."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return value.tolist() if hasattr(value, "tolist") else value
