@@ -90,11 +90,12 @@ def main(name: str, words: Sequence[str]) -> int:
             say(f"note: {own} hides {hidden}, which differs")
     for sweep in sweeps:
         _note_doubts(sweep)
-    if args.dry_run:
-        from bojax.results.folder import dated_folder  # imports pyarrow
-
-        return dry_run(args, names, _folders(args.out or dated_folder(names[0]), names))
     folders = _folders(args.out, names) if args.out else [None] * len(names)
+    if args.dry_run:
+        from bojax.results.folder import choose_folder  # imports pyarrow
+
+        pairs = zip(names, folders, strict=True)
+        return dry_run(args, names, [choose_folder(*pair, resume=args.resume)[0] for pair in pairs])
     command = ["bojax", name, *words]
     sweeps = [resolved(sweep) for sweep in sweeps]
     return run(sweeps, folders, args.resume, command, launching=args, has_baseline=name == "run")

@@ -184,6 +184,11 @@ def test_a_dry_run_prints_the_script_and_does_nothing(here, capsys, command, fol
     assert sorted(path.name for path in here.iterdir()) == ["cluster.yaml", "sweep.yaml"]
 
 
+def test_a_dry_run_refuses_the_folders_that_a_sweep_refuses(here, refusal):
+    message = f"{here}: the folder is not empty; give another --out, or --resume an unfinished sweep"
+    assert refusal(f"sweep sweep.yaml --launcher slurm --dry-run --out {here}") == message
+
+
 @pytest.mark.parametrize("command", ["sweep", "tune"])
 def test_no_slurm_on_this_machine(here, refusal, monkeypatch, command):
     monkeypatch.setenv("PATH", str(here))
