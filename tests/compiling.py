@@ -46,7 +46,7 @@ def as_for_a_gpu(monkeypatch):
     select = rules[jax.lax.select_n_p]
 
     def checked(context, which, *cases):
-        # JAX gives a constant without a type, as in `jnp.where(x > 0.0, 0.1, 0.2)`, that of the condition
+        # JAX gives weakly typed constants, as in `jnp.where(x > 0.0, 0.1, 0.2)`, the type of the condition
         typed = zip(cases, context.avals_in[1:], strict=True)
         assert not any(aval.weak_type and not hasattr(case, "type") for case, aval in typed)
         return select(context, which, *cases)

@@ -27,7 +27,7 @@ EMPTY = -1
 """In a map from lanes to the runs of a queue: a lane without a run."""
 
 SOON = 2
-"""Runs for each of a smaller number of lanes, from which on the programs for these lanes are compiled."""
+"""Runs left for each of a smaller number of lanes when the programs for these lanes are compiled."""
 
 MOST_ADVANCES = 512
 MOST_RECORD_BYTES = 1 << 28

@@ -95,7 +95,7 @@ def takes_simulation_keys(draw: Callable[[Key[Array, ""]], Any]) -> bool:
     """
     try:
         program = jax.make_jaxpr(draw)(jax.eval_shape(simulation_key, jax.random.key(0)))
-    except NotImplementedError:
+    except NotImplementedError:  # Poisson; if it is another one, the search raises it again
         return False
     return "random_gamma" not in str(program)
 

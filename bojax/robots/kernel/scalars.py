@@ -436,7 +436,7 @@ class _Tracing:
         aval = eqn.invars[0].aval
         if aval.dtype != np.float32:
             raise NotScalar("erf_inv of other numbers than float32")
-        # JAX's own for Triton chooses between numbers without a type, which Triton takes for Booleans.
+        # JAX's own for Triton chooses between weakly typed constants, which its lowering makes Booleans.
         traced = jax.make_jaxpr(_erf_inv)(aval)
         return self.evaluate(traced.jaxpr, traced.consts, [x])[0]
 
@@ -686,7 +686,7 @@ _CHAIN = 8
 """Number of terms that are added one after the other, where sums are fused with products."""
 
 
-_OF_ERF_INV = np.asarray(
+_ERF_INV_COEFFICIENTS = np.asarray(
     [
         (2.81022636e-08, -0.000200214257),
         (3.43273939e-07, 0.000100950558),
@@ -709,7 +709,7 @@ def _erf_inv(x: jax.Array) -> jax.Array:
     is_middle = w < 5.0
     w = jnp.where(is_middle, w - 2.5, jnp.sqrt(w) - 3.0)
     found = jnp.zeros_like(x)
-    for middle, tail in _OF_ERF_INV:
+    for middle, tail in _ERF_INV_COEFFICIENTS:
         found = found * w + jnp.where(is_middle, middle, tail)
     return jnp.where(jnp.abs(x) == 1.0, x * jnp.float32(jnp.inf), found * x)
 
