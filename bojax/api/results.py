@@ -16,11 +16,11 @@ from typing_extensions import override
 from bojax.api.errors import BojaxError, in_one_line
 from bojax.api.plain_values import path_of
 from bojax.config.errors import allowed_names, did_you_mean
-from bojax.config.figures import figure_modules
+from bojax.config.figures import FIGURES
 from bojax.config.yaml_file import read_mapping
 from bojax.report import source, style
 from bojax.report.drawing.base import FigureUnavailable
-from bojax.report.figures import draw, ranked
+from bojax.report.figures import draw
 from bojax.report.page import summary
 from bojax.report.ranking import best_of, config_of, measure_of
 from bojax.report.verdicts import read_claims
@@ -160,12 +160,13 @@ class Results:
         Raises:
             BojaxError: There is no such figure, or the results do not allow it.
         """
-        if name is not None and name not in figure_modules():
-            known = ", ".join(figure_modules())
-            raise BojaxError(f"unknown figure {name}; allowed: {known}{did_you_mean(name, figure_modules())}")
+        if name is not None and name not in FIGURES:
+            raise BojaxError(
+                f"unknown figure {name}; allowed: {', '.join(sorted(FIGURES))}{did_you_mean(name, FIGURES)}"
+            )
         reason = "the report has no figure"
-        for each in [name] if name else self._results.report.figures or ranked():
-            if each not in figure_modules():  # a table
+        for each in [name] if name else self._results.report.figures or FIGURES:
+            if each not in FIGURES:  # a table
                 continue
             try:
                 with in_one_line(), style.settings():

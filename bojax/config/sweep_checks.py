@@ -4,7 +4,7 @@ from collections.abc import Collection
 
 from bojax.config.claims import Window
 from bojax.config.errors import ConfigError, allowed_names, did_you_mean, shown
-from bojax.config.figures import TABLES, figure_modules
+from bojax.config.figures import FIGURES, TABLES
 from bojax.config.files import available
 from bojax.config.points import Sweep
 from bojax.config.references import OfClaim, Reference, matching, references
@@ -16,7 +16,7 @@ def check_sweep(sweep: Sweep, file: str) -> None:
     relative_to = sweep.report.get("relative_to")
     if relative_to is not None:
         _require(relative_to, variants, f"{file}: report.relative_to", "; unknown variant")
-    figures = [*figure_modules(), *TABLES]
+    figures = [*sorted(FIGURES), *TABLES]
     for name in sweep.report.get("figures", ()):
         if name not in figures:
             raise ConfigError(

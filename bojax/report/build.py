@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from bojax.config.component import External
-from bojax.config.figures import TABLES, figure_modules
+from bojax.config.figures import FIGURES, TABLES
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, FigureUnavailable
-from bojax.report.figures import draw, ranked
+from bojax.report.figures import draw
 from bojax.report.findings import evaluate
 from bojax.report.manifest import Unread
 from bojax.report.page import render
@@ -38,7 +38,7 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     page = render(results, claims, list(drawings.values()), notes)
 
     style.write_images(folder, {name: drawing.files for name, drawing in drawings.items()})
-    for name in figure_modules().keys() - drawings:  # an earlier report may have drawn them
+    for name in FIGURES.keys() - drawings:  # an earlier report may have drawn them
         for suffix in ("png", "svg"):
             with explained(path := folder / style.FIGURES / f"{name}.{suffix}"):
                 path.unlink(missing_ok=True)
@@ -53,11 +53,11 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Dra
     """The figures of the page by name, and notes on figures that are missing."""
     asked = results.report.figures
     drawings, notes, missing = dict[str, Drawing](), list[str](), list[str]()
-    for name in dict.fromkeys(asked or ranked()):
+    for name in dict.fromkeys(asked or FIGURES):
         if name in TABLES:
             continue
-        if name not in figure_modules():
-            notes.append(f"No figure is called {name}: the figures are {joined(figure_modules())}.")
+        if name not in FIGURES:
+            notes.append(f"No figure is called {name}: the figures are {joined(sorted(FIGURES))}.")
             continue
         at(f"figure {name}")
         try:

@@ -9,7 +9,7 @@ from bojax.films.choose import choose_film
 from bojax.films.film import render, write_still
 from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.sketches import draw_step, set_stage, sketches
-from bojax.report.figures.particles import draw
+from bojax.report.figures.particles import particles
 from bojax.report.source import load
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
@@ -90,7 +90,7 @@ def test_dots_show_the_shares_of_equal_states(size):
 
 @pytest.mark.parametrize("kind, panels", [("light-dark", 1), ("vdp-tag", 4)])
 def test_the_figure_shows_the_first_recorded_run(tmp_path, kind, panels):
-    drawing = draw(load(belief_results(tmp_path / "results", kind)))
+    drawing = particles(load(belief_results(tmp_path / "results", kind)))
     titles = [axes.get_title() for axes in drawing.figure.axes]
     assert titles == ([""] if panels == 1 else ["step 0", "step 1", "step 3", "step 4"])
     assert (
@@ -103,7 +103,7 @@ def test_the_figure_shows_the_first_recorded_run(tmp_path, kind, panels):
 def test_what_was_not_recorded_is_not_drawn(tmp_path):
     results = load(belief_results(tmp_path / "results", recorded=False))
     with pytest.raises(FigureUnavailable, match="no recorded sketch"):
-        draw(results)
+        particles(results)
     with pytest.raises(ResultsError, match="no sketch was recorded"):
         choose_film(results)
     shown = load(belief_results(tmp_path / "others"))

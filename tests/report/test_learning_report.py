@@ -15,9 +15,8 @@ from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.exporting.content import exported
 from bojax.report.figures import draw
-from bojax.report.figures.growth import nearest_law
-from bojax.report.figures.learning_curves import limit, rolling_mean
-from bojax.report.figures.sweep_curve import curves_over, swept_panel
+from bojax.report.figures.curves import limit, rolling_mean
+from bojax.report.figures.sweeps import curves_over, nearest_law, swept_panel
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.report.text import MISSING

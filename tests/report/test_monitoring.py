@@ -18,7 +18,7 @@ from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.domains import draw_outline, tick_outline
 from bojax.report.drawing.maps import beliefs, draw_map
 from bojax.report.figures import draw
-from bojax.report.figures.beliefs import _maps, _norms
+from bojax.report.figures.maps import _maps, _norms
 from bojax.report.figures.paths import stops
 from bojax.report.source import Results, load
 from bojax.report.tables import outcomes, ratios, thesis_gaps

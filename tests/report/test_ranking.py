@@ -11,7 +11,7 @@ from bojax.config.sweep_file import Report
 from bojax.report import statistics
 from bojax.report.build import build_report
 from bojax.report.drawing.base import FigureUnavailable
-from bojax.report.figures import heat_map, settings_
+from bojax.report.figures.grids import best_means, heat_map, settings
 from bojax.report.ranking import Measure, best_of, config_of, measure_of, ranking, scored
 from bojax.report.source import load
 from bojax.report.tables import FEW_POINTS, Cell, ranked, ranking_gaps
@@ -188,11 +188,11 @@ def test_the_map_has_the_best_mean_over_all_other_settings():
     points = list(results.points)
     expected = -((np.array(DEPTHS)[:, None] - 3.0) ** 2) - np.log10(KAPPAS) ** 2
     axes = ("planner.kappa", KAPPAS), ("planner.depth", DEPTHS)
-    np.testing.assert_allclose(heat_map.best_means(results, RETURN, points, *axes), expected, atol=1e-12)
-    over = heat_map.best_means(results, RETURN, points, ("planner.kappa", KAPPAS), ("planner.kappa", KAPPAS))
+    np.testing.assert_allclose(best_means(results, RETURN, points, *axes), expected, atol=1e-12)
+    over = best_means(results, RETURN, points, ("planner.kappa", KAPPAS), ("planner.kappa", KAPPAS))
     np.testing.assert_allclose(np.diag(over), expected.max(axis=0), atol=1e-12)
     assert np.isnan(over[0, 1])
-    least = heat_map.best_means(results, Measure("return", is_least=True), points, *axes[:1] * 2)
+    least = best_means(results, Measure("return", is_least=True), points, *axes[:1] * 2)
     np.testing.assert_allclose(np.diag(least), expected.min(axis=0), atol=1e-12)
 
 
@@ -203,27 +203,27 @@ def reported(results, **report):
 
 
 def test_the_map_is_of_the_first_two_numbers_or_of_those_that_the_report_names():
-    drawing = heat_map.draw(reported(grid()))
+    drawing = heat_map(reported(grid()))
     assert "the best value is at depth 3 and kappa 1." in drawing.alt
-    drawing = heat_map.draw(reported(grid(), heat_map=("planner.kappa", "planner.depth")))
+    drawing = heat_map(reported(grid(), heat_map=("planner.kappa", "planner.depth")))
     assert "kappa 1 and depth 3" in drawing.alt and "Frame: the best" in drawing.caption
     with pytest.raises(FigureUnavailable, match='kapa is no swept number.*did you mean "planner.kappa"'):
-        heat_map.draw(reported(grid(), heat_map=("planner.kapa", "planner.depth")))
+        heat_map(reported(grid(), heat_map=("planner.kapa", "planner.depth")))
     results = reported(in_memory({"a": {"return": np.ones(3)}}))
     with pytest.raises(FigureUnavailable, match="needs two swept numbers"):
-        heat_map.draw(results)
+        heat_map(results)
 
 
 def test_long_axes_have_few_ticks():
     swept = {str(n): {"planner.a": n % 40, "planner.b": n // 40} for n in range(80)}
     results = swept_results({name: {"return": np.array([float(name)])} for name in swept}, swept)
-    panel = heat_map.draw(reported(results)).figure.axes[0]
+    panel = heat_map(reported(results)).figure.axes[0]
     assert [tick.get_text() for tick in panel.get_xticklabels()] == [str(5 * n) for n in range(8)]
     assert len(panel.texts) == 0
 
 
 def test_the_effect_of_settings_is_of_the_ranked_measure():
-    drawing = settings_.draw(reported(grid(), rank_by="-rmse"))
+    drawing = settings(reported(grid(), rank_by="-rmse"))
     assert drawing.caption.startswith("Mean rmse for each value")
     assert "selected by these same runs: 3, 1.0," in drawing.caption
 
@@ -233,7 +233,7 @@ def test_numbers_ascend_along_an_axis_and_names_keep_their_order():
         str(n): {"planner.a": a, "planner.b": b} for n, (a, b) in enumerate([(3, "y"), (1, "x"), (2, "y")])
     }
     results = swept_results({name: {"return": np.array([float(name)])} for name in swept}, swept)
-    number, name = settings_.draw(reported(results)).figure.axes
+    number, name = settings(reported(results)).figure.axes
     assert [tick.get_text() for tick in number.get_xticklabels()] == ["1", "2", "3"]
     np.testing.assert_array_equal(number.lines[0].get_ydata(), [np.nan, np.nan, 0.0])
     assert [tick.get_text() for tick in name.get_xticklabels()] == ["y", "x"]

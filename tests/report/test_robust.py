@@ -52,7 +52,7 @@ def test_an_exception_in_a_figure_is_a_note(tmp_path, monkeypatch):
     def fail(results):
         raise ZeroDivisionError("of my own")
 
-    monkeypatch.setattr("bojax.report.figures.returns.draw", fail)
+    monkeypatch.setattr("bojax.report.figures.returns.returns", fail)
     report = {"figures": ["returns", "success"]}
     folder = write_results(tmp_path / "results", runs=2, recorded=0, report=report)
     text = build_report(folder).read_text()
@@ -101,7 +101,7 @@ def test_other_warnings_of_a_figure_are_shown(tmp_path, monkeypatch):
         warnings.warn("something else", stacklevel=2)
         return Drawing(style.figure(1.0)[0], "title", "caption", "alternative text of the figure")
 
-    monkeypatch.setattr("bojax.report.figures.returns.draw", warn)
+    monkeypatch.setattr("bojax.report.figures.returns.returns", warn)
     folder = write_results(tmp_path / "results", runs=2, recorded=0, report=ONE)
     with pytest.warns(UserWarning, match="something else"):
         build_report(folder)

@@ -5,8 +5,8 @@ import pytest
 
 from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.curves import Curve
-from bojax.report.figures.settings_ import _short, curves_and_panels, marginals
-from bojax.report.figures.sweep_curve import readable
+from bojax.report.figures.grids import _short, curves_and_panels, marginals
+from bojax.report.figures.sweeps import readable
 from bojax.report.source import distinct_names, short_value, swept_values
 from bojax.report.text import plain
 from tests.report.synthetic import point_of

@@ -14,7 +14,7 @@ from bojax.report.comparing.methods import Measure, Method, Options, measured_by
 from bojax.report.comparing.scoring import Task, tasks_of
 from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
-from bojax.report.figures.learning_curves import limit
+from bojax.report.figures.curves import limit
 from bojax.report.ranking import ENDS
 from bojax.report.source import load
 from bojax.report.template import fill

@@ -1,16 +1,16 @@
-"""Errors of the final belief, and their ratios to those of one setting (Tables 3.1 and 4.1 of the thesis)."""
+"""Errors of the final belief, and over the distance driven."""
 
 from typing import Any
 
+import numpy as np
 from matplotlib.lines import Line2D
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, FigureUnavailable, dot_plot, draw_intervals, drawn_points
-from bojax.report.source import Results
+from bojax.report.drawing.curves import Chart, Curve, Panel
+from bojax.report.source import Point, Results
 from bojax.report.statistics import mean_interval, methods, ratio_interval
 from bojax.report.text import number, ranged
-
-RANK = 110
 
 MEASURES = {
     "rmse": "RMSE: root mean square error",
@@ -21,9 +21,17 @@ MEASURES = {
 
 _THESIS: dict[str, Any] = {"marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.2}
 
+MARKS = 40  # distances at which the curves have values
 
-def draw(results: Results) -> Drawing:
-    """A dot with its interval per point, one panel per measure; below, ratios to `report.relative_to`."""
+ERRORS = {"rmse": "RMSE", "mean_std": "mean standard deviation"}
+"""Columns that are drawn, and their names."""
+
+
+def errors(results: Results) -> Drawing:
+    """Errors of the final belief, and below, their ratios to those of `report.relative_to`.
+
+    A dot with its interval per point, and a panel per measure (Tables 3.1 and 4.1 of the thesis).
+    """
     points, note = drawn_points(results)
     columns = [column for column in MEASURES if column in results.runs]
     if not columns:
@@ -69,3 +77,36 @@ def draw(results: Results) -> Drawing:
         caption=caption,
         alt=f"Dot plots of the mean errors of the final belief with intervals. {'; '.join(told)}.",
     )
+
+
+def errors_by_distance(results: Results) -> Drawing:
+    """Mean errors at equal distances driven; a run is constant between two steps, and ends with the last."""
+    points, note = drawn_points(results)
+    if not all("distance" in results.steps and column in results.steps for column in ERRORS):
+        raise FigureUnavailable("steps.parquet has no errors by distance: problem.errors_by_step is false")
+    longest = max(float(np.max(results.steps_of(point)["distance"], initial=0.0)) for point in points)
+    marks = np.linspace(0.0, longest, MARKS + 1)[1:]
+    panels = [
+        Panel(
+            name,
+            f"{name} averaged over runs",
+            [Curve(point, marks, _at(results, point, column, marks), (0, np.inf)) for point in points],
+        )
+        for column, name in ERRORS.items()
+    ]
+    details = "Errors of the belief after the last step before each distance; a run has none beyond its end."
+    return Chart(panels, "distance (m)").drawing("Errors by distance", details, note)
+
+
+def _at(results: Results, point: Point, column: str, marks: np.ndarray) -> np.ndarray:
+    """A column at distances, `[runs, marks]`; NaN before the first step and beyond the last."""
+    rows, runs = results.steps_of(point), results.runs_of(point)["run"]
+    values = np.full((runs.size, marks.size), np.nan)
+    for index, run in enumerate(runs):
+        own = rows["run"] == run
+        distance = rows["distance"][own]
+        if distance.size:
+            last = np.searchsorted(distance, marks * (1.0 + 1e-9), side="right") - 1
+            known = (last >= 0) & (marks <= distance[-1] * (1.0 + 1e-9))
+            values[index, known] = rows[column][own][last[known]]
+    return values

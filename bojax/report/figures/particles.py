@@ -13,15 +13,13 @@ from bojax.report.drawing.sketches import (
 from bojax.report.source import Results
 from bojax.report.text import joined
 
-RANK = 125
-
 MAX_ROWS = 6  # most rows that fit a screen; of more points, the best of each label is drawn
 
 _SHARES = (0.0, 1 / 3, 2 / 3, 1.0)
 """Shares of an episode after which the belief is drawn."""
 
 
-def draw(results: Results) -> Drawing:
+def particles(results: Results) -> Drawing:
     """One row per point: the belief at four times of an episode, or one panel with all steps of a number."""
     found, note = points_with(
         results, lambda point: sketches(results, point), "no recorded sketch of a state in arrays/", MAX_ROWS

@@ -20,8 +20,6 @@ from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted
 
-RANK = 120
-
 EXAMPLES = 2  # runs of each outcome in a panel; the paths of more runs would cross too often
 
 _DASHES = (0, (4, 1.5))
@@ -30,7 +28,7 @@ _STOP: dict[str, Any] = {"facecolors": "none", "edgecolors": _RED, "linewidths":
 _RING: dict[str, Any] = {"color": style.INK, "linestyle": "", "marker": "o"}
 
 
-def draw(results: Results) -> Drawing:
+def paths(results: Results) -> Drawing:
     """The first recorded runs of each outcome; recorded runs are the first of the sweep, not a selection.
 
     If runs do not end at success, as in monitoring, only the first recorded run is drawn, on the field.

@@ -7,14 +7,12 @@ from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points, 
 from bojax.report.source import Results
 from bojax.report.text import number
 
-RANK = 100
-
 _BINS = 90
 _HALF_ROW = 0.38
 _MAX_DOTS = 400
 
 
-def draw(results: Results) -> Drawing:
+def returns(results: Results) -> Drawing:
     """A swarm of dots per point; below it, the mean with its 95% interval."""
     points, note = drawn_points(results)
     returns = [results.runs_of(point)[results.return_column].astype(np.float64) for point in points]

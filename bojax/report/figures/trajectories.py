@@ -11,10 +11,8 @@ from bojax.report.drawing.smooth import smooth
 from bojax.report.source import Results
 from bojax.report.text import counted
 
-RANK = 160
 
-
-def draw(results: Results) -> Drawing:
+def trajectories(results: Results) -> Drawing:
     """All trajectories of the first run of each point, from a robot at the origin that heads right."""
     found, note = points_with(
         results,

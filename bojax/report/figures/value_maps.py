@@ -17,8 +17,6 @@ from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
 
-RANK = 70
-
 MAX_ROWS = 3
 MAX_COLUMNS = 4
 
@@ -34,7 +32,7 @@ class _Row(NamedTuple):
     high: Floats
 
 
-def draw(results: Results) -> Drawing:
+def value_maps(results: Results) -> Drawing:
     """One row per recorded run, one panel per kept episode, which shows the trajectory of the episode."""
     rows = _rows(results)
     columns = max(len(row.episodes) for row in rows)
