@@ -21,7 +21,7 @@ from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_c
 from bojax.report.template import fill
 from bojax.report.text import counted, heading, joined, number, plain
 from bojax.results.store import MANIFEST, ResultsError, read_json, read_manifest, write_content
-from bojax.tuning.ranges import axis_from, described
+from bojax.tuning.ranges import described
 
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
@@ -51,11 +51,11 @@ class Slice(Recorded):
     std: list[float]
 
 
-class SearchPlan(Recorded):
+class SearchPlan(Recorded, strict=False):
     """What the proposals and the scores of a search depend on."""
 
     config: dict[str, Any]
-    settings: dict[str, Any]
+    settings: dict[str, Axis]
     metric: str
     minimise: bool
     batch: Count
@@ -79,7 +79,7 @@ class Tuning(Recorded):
     @property
     def ranges(self) -> list[Axis]:
         """The tuned settings."""
-        return [axis_from(each) for each in self.plan.settings.values()]
+        return list(self.plan.settings.values())
 
     @property
     def measure(self) -> Measure:
@@ -101,10 +101,8 @@ def read_tuning(folder: Path) -> Tuning:
     """The search in a folder."""
     path = folder / TUNING
     tuning = validated(Tuning, read_json(path), str(path))
-    try:
-        _ = tuning.ranges, tuning.best
-    except (TypeError, KeyError, IndexError) as error:
-        raise ResultsError(f"{path}: is damaged: delete it, and resume the search") from error
+    if not tuning.order or max(tuning.order) >= len(tuning.points):
+        raise ResultsError(f"{path}: is damaged: delete it, and resume the search")
     return tuning
 
 

@@ -92,13 +92,6 @@ def axis_of(asked: Asked, configs: Sequence[Component]) -> Axis:
     return Range(asked.key, low, high, asked.is_log, is_integer)
 
 
-def axis_from(content: dict[str, Any]) -> Axis:
-    """An axis from its fields, as files of a search have them."""
-    if "values" in content:
-        return Choice(content["key"], tuple(content["values"]))
-    return Range(**content)
-
-
 def value_at(config: Component, key: str) -> Any:
     """The number, text or Boolean at a dotted path, or the kind of the part there; None for anything else."""
     value: Any = reduce(lambda part, name: getattr(part, name, None), key.split("."), config)

@@ -63,7 +63,7 @@ def run_rounds(
         launcher.check(f"{task.config.name}-tune")
     is_extended = resume and out is not None and is_search(out) and not is_unfinished(out)
     if is_extended and out is not None:
-        check_plan(out, read_tuning(out).plan.model_dump(), task.content)
+        check_plan(out, read_tuning(out).plan.model_dump(mode="json"), task.content)
         folder, is_resumed = out, False
     else:
         folder, is_resumed = reserve_folder(f"{task.config.name}-tune", out, resume=resume)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from pydantic_core import to_jsonable_python
+
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError, allowed_names
 from bojax.config.points import Sweep
@@ -40,7 +42,7 @@ class Task:
         """Everything that the proposals and the scores depend on; a search resumes with equal content."""
         return {
             "config": self.config.base,
-            "settings": {each.key: _fields(each) for each in self.ranges},
+            "settings": {each.key: to_jsonable_python(each) for each in self.ranges},
             "metric": self.column,
             "minimise": self.is_least,
             "batch": self.batch,
@@ -64,12 +66,6 @@ class Task:
         }
         sweep = load_sweep({**content, **settings})
         return resolved(dataclasses.replace(sweep, name=name, source=config.source))
-
-
-def _fields(axis: Axis) -> dict[str, Any]:
-    """The fields of an axis as JSON has them."""
-    fields = dataclasses.asdict(axis).items()
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in fields}
 
 
 def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], options: Namespace) -> Task:
