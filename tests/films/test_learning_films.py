@@ -107,42 +107,30 @@ size = len(sys.stdin.buffer.read())
 open(sys.argv[-1], "w").write(str(size))
 sys.exit({code})
 """
+"""An ffmpeg that writes down how many bytes it was given."""
 
 
-@pytest.fixture
-def ffmpeg(tmp_path, monkeypatch):
-    """An ffmpeg that writes down how many bytes it was given."""
-
-    def install(code=0):
-        program = tmp_path / "bin" / "ffmpeg"
-        program.parent.mkdir()
-        program.write_text(FFMPEG.format(python=sys.executable, code=code))
-        program.chmod(0o755)
-        monkeypatch.setenv("PATH", str(program.parent))
-
-    return install
-
-
-def test_where_there_is_ffmpeg_it_gets_the_same_frames(tmp_path, ffmpeg):
-    ffmpeg()
-    folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
-    gif, film = render(choose_film(load(folder)), folder / "animations")
-    assert film == gif.with_suffix(".mp4")
-    assert int(film.read_text()) == (6 + 50) * 400 * 440 * 4  # the last frame for 2 s of 25 frames
-
-
-def test_an_ffmpeg_that_fails_is_told_in_a_line(tmp_path, ffmpeg):
-    ffmpeg(code=1)
-    folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
-    with pytest.raises(ResultsError, match="the GIF is written, but ffmpeg failed"):
-        render(choose_film(load(folder)), folder / "animations")
-    assert [path.suffix for path in (folder / "animations").iterdir()] == [".gif"]
+@pytest.mark.parametrize("code", [0, 1])
+def test_where_there_is_ffmpeg_it_gets_the_same_frames_and_its_failure_is_told(tmp_path, monkeypatch, code):
+    program = tmp_path / "bin" / "ffmpeg"
+    program.parent.mkdir()
+    program.write_text(FFMPEG.format(python=sys.executable, code=code))
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent))
+    film = choose_film(load(learning_results(tmp_path / "results", lengths=(6,), goals=(True,))))
+    if code:
+        with pytest.raises(ResultsError, match="the GIF is written, but ffmpeg failed"):
+            render(film, tmp_path / "films")
+        assert [path.suffix for path in (tmp_path / "films").iterdir()] == [".gif"]
+    else:
+        gif, mp4 = render(film, tmp_path / "films")
+        assert mp4 == gif.with_suffix(".mp4")
+        assert int(mp4.read_text()) == (6 + 50) * 400 * 440 * 4  # the last frame for 2 s of 25 frames
 
 
 def scene(kind, observation, **env):
-    schema = registry["env"][kind]
     axes = Figure().add_subplot()
-    drawn = SCENES[kind](axes, schema(**env))
+    drawn = SCENES[kind](axes, registry["env"][kind](**env))
     drawn.move(np.asarray(observation), np.zeros(1), np.zeros(0))
     return axes
 
@@ -210,16 +198,12 @@ def test_the_command(folder, capsys):
     assert len(list(frames(written))) == 30
 
 
-def forget_the_goal(manifest):
-    for point in manifest["points"]:
-        point["config"]["env"]["goal_position"] = None
-
-
 def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path, refusal):
     unread = "this version cannot read the settings: env"
 
     def forget(folder):
-        edit_manifest(folder, forget_the_goal)
+        goal = {"goal_position": None}
+        edit_manifest(folder, lambda m: [each["config"]["env"].update(goal) for each in m["points"]])
 
     def delete_steps(folder):
         (folder / "steps.parquet").unlink()
@@ -268,12 +252,9 @@ def test_a_results_folder_imports_nothing(tmp_path, monkeypatch, part):
     monkeypatch.syspath_prepend(tmp_path)
     folders = [write_learning(tmp_path / "report"), learning_results(tmp_path / "film")]
 
-    def name_module(manifest):
-        for point in manifest["points"]:
-            point["config"][part]["kind"] = "my_spy:Mine"
-
+    spy = {"kind": "my_spy:Mine"}
     for folder in folders:
-        edit_manifest(folder, name_module)
+        edit_manifest(folder, lambda m: [each["config"][part].update(spy) for each in m["points"]])
     assert build_report(folders[0]).exists()
     if part == "learner":
         choose_film(load(folders[1]))

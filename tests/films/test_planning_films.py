@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from bojax.cli.main import main
+from bojax.films import rendering
 from bojax.films.choose import choose_film
 from bojax.films.film import MAX_FRAMES, render
 from bojax.films.planning import MAX_IMAGES_PER_STEP, PlanningFilm, _Map
@@ -17,6 +18,7 @@ from bojax.problems.settings import Parking, TwoPits
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
+from bojax.robots.models import RobotModel
 from tests.films.test_learning_films import frames as images_in
 from tests.films.test_learning_films import learning_results
 from tests.report.synthetic import edit_manifest, write_folder, write_results
@@ -110,7 +112,7 @@ def test_the_film_of_a_planner_moves_at_every_picture(tmp_path, problem, belief)
     assert np.mean(np.all(pictures[0] == 255, axis=-1)) > 0.2
 
 
-def test_of_a_long_run_fewer_pictures_are_made_of_a_step(tmp_path, monkeypatch):
+def test_of_a_long_run_fewer_pictures_are_made_of_a_step(tmp_path):
     drive = choose_drive(load(planning_results(tmp_path / "results", Parking())))
     long = type(drive)(drive.point, drive.run, drive.legs * 20, drive.belief, drive.outcome)
     assert PlanningFilm(drive).num_images == STEPS * MAX_IMAGES_PER_STEP + 1
@@ -141,23 +143,18 @@ def test_results_without_plans_are_drawn_too(tmp_path, monkeypatch, capsys, refu
 
 
 @pytest.fixture
-def rendering():
-    """MuJoCo's drawing, where this machine can."""
-    from bojax.films import rendering
-
+def drawing():
+    """Skips a test on a machine where MuJoCo cannot draw."""
     try:
         rendering.backend()
     except rendering.CannotDraw as error:
         pytest.skip(str(error))
-    return rendering
 
 
-STANDING = (0.0, 1.25, 0.0, 0.0, 0.0, 0.0)
-
-
-def standing(folder):
-    """Two steps of a hopper."""
-    return learning_results(folder, "hopper", lengths=(2,), goals=(True,), frames=STANDING)
+def standing(folder, steps=2):
+    """Steps of a hopper."""
+    frames = (0.0, 1.25, 0.0, 0.0, 0.0, 0.0)
+    return learning_results(folder, "hopper", lengths=(steps,), goals=(True,), frames=frames)
 
 
 PUCK = """
@@ -173,9 +170,7 @@ PUCK = """
 """
 
 
-def test_a_robot_is_where_its_positions_are(rendering):
-    from bojax.robots.models import RobotModel
-
+def test_a_robot_is_where_its_positions_are(drawing):
     with closing(rendering.Renderer(RobotModel(PUCK), 800, 600)) as renderer:
         puck = np.array([-1.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0])
         left = renderer.image(puck).astype(int)
@@ -192,8 +187,8 @@ def test_a_robot_is_where_its_positions_are(rendering):
     assert column(left, 0) == pytest.approx(-column(both, 2), abs=0.1) and column(left, 0) < -0.3
 
 
-def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, refusal):
-    folder = learning_results(tmp_path / "results", "hopper", lengths=(7,), goals=(True,), frames=STANDING)
+def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, drawing, refusal):
+    folder = standing(tmp_path / "results", 7)
     film = choose_film(load(folder))
     assert film.seconds == 0.04  # 4 substeps of 2 ms would be too fast
     with settings():
@@ -207,7 +202,7 @@ def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, ref
     assert "the model differs from the one that was simulated: the model has 7 generalised" in error
 
 
-def test_a_robot_of_ones_own_needs_its_model(tmp_path, rendering, refusal):
+def test_a_robot_of_ones_own_needs_its_model(tmp_path, drawing, refusal):
     frames = learning_results(
         tmp_path / "learned", "mine:Puck", lengths=(3,), goals=(True,), frames=[0.0] * 7
     )
@@ -217,7 +212,7 @@ def test_a_robot_of_ones_own_needs_its_model(tmp_path, rendering, refusal):
 
 
 @pytest.mark.parametrize("problem, belief", [(Parking(), False), (TwoPits(), True)])
-def test_a_robot_with_a_body_is_the_main_picture(tmp_path, rendering, problem, belief, refusal):
+def test_a_robot_with_a_body_is_the_main_picture(tmp_path, drawing, problem, belief, refusal):
     frames = np.full((ROOM, 3, 7), np.nan)
     x = np.linspace(-0.5, 0.5, STEPS * 3).reshape(STEPS, 3)
     frames[:STEPS] = np.stack([x, 0 * x, 0 * x + 0.5, 0 * x + 1.0, 0 * x, 0 * x, 0 * x], axis=-1)
@@ -267,7 +262,6 @@ class TestWithoutAScreen:
     @pytest.fixture
     def works(self, monkeypatch):
         """Let only these ways work, and note which were tried."""
-        from bojax.films import rendering
 
         def install(*names):
             tried = []
@@ -280,11 +274,9 @@ class TestWithoutAScreen:
         rendering._working.cache_clear()
 
     def test_osmesa_where_egl_fails(self, works, monkeypatch):
-        from bojax.films.rendering import backend
-
         monkeypatch.delenv("MUJOCO_GL", raising=False)
         tried = works("osmesa")
-        assert backend() == backend() == "osmesa" and tried == ["egl", "osmesa"]
+        assert rendering.backend() == rendering.backend() == "osmesa" and tried == ["egl", "osmesa"]
 
     def test_what_the_user_has_set_alone(self, works, monkeypatch, tmp_path, refusal):
         monkeypatch.setenv("MUJOCO_GL", "glfw")
@@ -305,10 +297,8 @@ class TestWithoutAScreen:
         findings = list(doctor.examine(doctor.CHECKS["films"]))
         assert findings[-1].state == "note" and "apt install" in findings[-1].text
 
-    def test_a_probe_that_fails_is_no_way(self, monkeypatch):
-        from bojax.films.rendering import _works
-
-        assert not _works("no-such-thing")
+    def test_a_probe_that_fails_is_no_way(self):
+        assert not rendering._works("no-such-thing")
 
 
 def test_gallery_results_do_not_move(tmp_path):

@@ -224,14 +224,12 @@ def test_differences_of_means_agree_with_scipys_welch_test(second):
 
 
 def test_holm_tests_the_smallest_at_the_strictest_level_and_stops_at_the_first_kept():
-    np.testing.assert_allclose(statistics.holm_levels([0.03, 0.001, 0.02], 0.06), [0.06, 0.02, 0.03])
-    # 0.03 > 0.025 is kept, and so is 0.04 although 0.04 < 0.05.
-    levels = statistics.holm_levels([0.04, 0.03], 0.05)
-    np.testing.assert_allclose(levels, [0.025, 0.025])
-
-
-def test_a_hypothesis_without_a_p_value_counts_and_is_kept():
-    np.testing.assert_array_equal(statistics.holm_levels([np.nan, 0.01], 0.05), [np.nan, 0.025])
+    for p_values, alpha, levels in (
+        ([0.03, 0.001, 0.02], 0.06, [0.06, 0.02, 0.03]),
+        ([0.04, 0.03], 0.05, [0.025, 0.025]),  # 0.03 > 0.025 is kept, and so is 0.04 although 0.04 < 0.05
+        ([np.nan, 0.01], 0.05, [np.nan, 0.025]),  # a hypothesis without a p-value counts and is kept
+    ):
+        np.testing.assert_allclose(statistics.holm_levels(p_values, alpha), levels)
 
 
 def test_a_p_value_is_the_level_at_which_the_bound_passes_a_value():
@@ -275,11 +273,7 @@ def test_claims_figures_and_tables_share_the_resamples_of_equal_values(monkeypat
     original = statistics.bootstrap_means
     monkeypatch.setattr(statistics, "bootstrap_means", lambda table: drawn.append(1) or original(table))
     values = np.random.default_rng(11).exponential(size=50)
-    first = statistics.mean_interval(values), statistics.ratio_interval(values, values[::-1])
-    assert len(drawn) == 2
-    assert (
-        statistics.mean_interval(values.tolist()),
-        statistics.ratio_interval(values, values[::-1]),
-    ) == first
-    assert len(drawn) == 2
-    assert statistics.mean_interval(values + 1e-12) != first[0] and len(drawn) == 3
+    mean, ratio = statistics.mean_interval(values), statistics.ratio_interval(values, values[::-1])
+    assert len(drawn) == 2 and statistics.mean_interval(values.tolist()) == mean
+    assert statistics.ratio_interval(values, values[::-1]) == ratio and len(drawn) == 2
+    assert statistics.mean_interval(values + 1e-12) != mean and len(drawn) == 3
