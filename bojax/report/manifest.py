@@ -97,7 +97,6 @@ class Group(Recorded):
 
     points: list[int] = []
     lanes_per_device: Count | None = None
-    devices: Count | None = None
     compile_seconds: float | None = None
     run_seconds: float | None = None
     active_steps: Count | None = None

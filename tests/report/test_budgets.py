@@ -6,35 +6,25 @@ from bojax.report.budgets import Series, budget_of, common_budget, held, interva
 from bojax.report.statistics import time_interval
 
 NAN = np.nan
-FINAL, OTHER = np.array([True, False]), np.array([False, False])
 
 
 def series(end, *, is_final=False):
     return Series(np.arange(1.0, end + 1), np.arange(1.0, end + 1), float(end), is_final)
 
 
-def test_only_a_final_run_keeps_its_last_value():
-    table = np.array([[1.0, 2, NAN, NAN], [3, 4, 5, 6]])
-    np.testing.assert_array_equal(held(table, np.array([1, 3]), FINAL), [[1, 2, 2, 2], [3, 4, 5, 6]])
-    np.testing.assert_array_equal(held(table, np.array([1, 3]), OTHER), table)
-
-
-def test_nothing_is_kept_beyond_the_budget_of_a_setting():
-    """Another setting has four columns; here the run that went on longest has three."""
-    table = np.array([[1.0, NAN, NAN, NAN], [3, 4, 5, NAN]])
-    np.testing.assert_array_equal(held(table, np.array([0, 2]), FINAL), [[1, 1, 1, NAN], [3, 4, 5, NAN]])
-    kept = held(table, np.array([0, 2]), np.array([True, True]))
-    np.testing.assert_array_equal(kept, [[1, 1, 1, 1], [3, 4, 5, 5]])
-
-
-def test_a_recorded_nan_is_kept_not_papered_over():
-    table = np.array([[0.0, 1, NAN, NAN], [0, 1, 2, 3]])
-    np.testing.assert_array_equal(held(table, np.array([2, 3]), FINAL)[0], [0, 1, NAN, NAN])
-
-
-def test_a_run_without_any_column_stays_without_a_value():
-    table = np.array([[NAN, NAN], [1.0, 2.0]])
-    assert np.isnan(held(table, np.array([-1, 1]), FINAL)[0]).all()
+def test_only_a_final_run_keeps_its_last_value_up_to_the_budget_of_its_setting():
+    """Of two runs, the first is final, neither or both; elsewhere, another setting has more columns."""
+    first, neither, both = [True, False], [False, False], [True, True]
+    for final, ends, table, kept in (
+        (first, [1, 3], [[1, 2, NAN, NAN], [3, 4, 5, 6]], [[1, 2, 2, 2], [3, 4, 5, 6]]),
+        (neither, [1, 3], [[1, 2, NAN, NAN], [3, 4, 5, 6]], [[1, 2, NAN, NAN], [3, 4, 5, 6]]),
+        (first, [0, 2], [[1, NAN, NAN, NAN], [3, 4, 5, NAN]], [[1, 1, 1, NAN], [3, 4, 5, NAN]]),
+        (both, [0, 2], [[1, NAN, NAN, NAN], [3, 4, 5, NAN]], [[1, 1, 1, 1], [3, 4, 5, 5]]),
+        (first, [2, 3], [[0, 1, NAN, NAN], [0, 1, 2, 3]], [[0, 1, NAN, NAN], [0, 1, 2, 3]]),  # a recorded NaN
+        (first, [-1, 1], [[NAN, NAN], [1, 2]], [[NAN, NAN], [1, 2]]),  # a run without any column
+    ):
+        found = held(np.array(table, float), np.array(ends), np.array(final))
+        np.testing.assert_array_equal(found, kept)
 
 
 def test_the_common_budget_is_the_least_of_the_longest_runs():

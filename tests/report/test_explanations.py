@@ -28,6 +28,12 @@ def at_hand(folder):
     return AtHand(found, evaluate(found))
 
 
+def told(folder, others=None):
+    """The explanation of the first claim."""
+    (each, *_) = explanations_of(at_hand(folder), others or {})
+    return each.text
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return results(tmp_path_factory.mktemp("explained") / "mine")
@@ -50,9 +56,8 @@ def test_references_are_filled_in_from_the_tables(folder, tmp_path):
             ("{setting 0.5} and {thesis 93%}", "0.5 and 93%"),
         )
     ):
-        (each, *_) = explanations_of(at_hand(results(tmp_path / str(number), reference)), {})
-        assert each.text.startswith(expected), (reference, each.text)
-        assert "{" not in each.text and "not measured" not in each.text
+        text = told(results(tmp_path / str(number), reference))
+        assert text.startswith(expected) and "{" not in text and "not measured" not in text, (reference, text)
 
 
 def test_results_that_are_not_at_hand_are_said_to_be_missing(tmp_path):
@@ -67,12 +72,9 @@ def test_results_that_are_not_at_hand_are_said_to_be_missing(tmp_path):
         "{claim share-open: share}",
         "{claim nothing: verdict}",
     ]
-    own = at_hand(results(tmp_path / "own", " | ".join(missing)))
-    (each, *_) = explanations_of(own, {})
-    assert each.text.split(" | ") == ["(not measured here)"] * len(missing)
-    other = at_hand(results(tmp_path / "other"))
-    (each, *_) = explanations_of(own, {"study-ties": other})
-    assert each.text.split(" | ")[0][0].isdigit()
+    own, other = results(tmp_path / "own", " | ".join(missing)), at_hand(results(tmp_path / "other"))
+    assert told(own).split(" | ") == ["(not measured here)"] * len(missing)
+    assert told(own, {"study-ties": other})[0].isdigit()
 
 
 def test_runs_without_a_value_are_counted(tmp_path):
@@ -80,8 +82,7 @@ def test_runs_without_a_value_are_counted(tmp_path):
     values = load(folder).runs["return"].copy()
     values[:10] = np.nan
     set_column(folder, "return", values)
-    (each, *_) = explanations_of(at_hand(folder), {})
-    assert each.text.endswith(" in 30 of 40 runs")
+    assert told(folder).endswith(" in 30 of 40 runs")
 
 
 def test_mean_times_have_the_interval_of_the_report(tmp_path):
@@ -89,15 +90,13 @@ def test_mean_times_have_the_interval_of_the_report(tmp_path):
     values = load(folder).runs["steps"].astype(float)
     values[1::40] = np.nan
     set_column(folder, "steps_to_goal", values)
-    (each, *_) = explanations_of(at_hand(folder), {})
     known = values[load(folder).runs["label"] == "kcbts"]
-    found = time_interval(known[np.isfinite(known)])
-    assert each.text.startswith(" ".join(found.in_words())) and each.text.endswith("in 39 of 40 runs")
+    interval = " ".join(time_interval(known[np.isfinite(known)]).in_words())
+    assert told(folder) == f"{interval} in 39 of 40 runs"
 
 
 def test_braces_of_earlier_versions_stay(tmp_path):
-    (each, *_) = explanations_of(at_hand(results(tmp_path / "mine", "The set {a, b}.")), {})
-    assert each.text == "The set {a, b}."
+    assert told(results(tmp_path / "mine", "The set {a, b}.")) == "The set {a, b}."
 
 
 def test_every_claim_that_fails_has_a_cause(folder):

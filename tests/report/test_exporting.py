@@ -71,16 +71,13 @@ class TestContent:
         assert rff_q["episodes_to_goal_runs"] == 4 and rff_q["episodes_to_goal"] == pytest.approx(12.25)
         assert "episodes_to_goal" not in epsilon_greedy
 
-    def test_settings_are_flat(self, points):
-        assert points[0].settings["learner.kind"] == "emu-q"
-        assert (points[0].settings["runs"], points[0].settings["seed"]) == ("5", "0")
-
-    def test_settings_have_all_their_digits(self, car, tmp_path):
+    def test_settings_are_flat_and_have_all_their_digits(self, car, tmp_path):
         shutil.copytree(car, tmp_path / "car")
         numbers = {"discount": 0.123456789, "prior_precision": 2.0}
         edit_manifest(tmp_path / "car", lambda found: found["points"][0]["config"]["learner"].update(numbers))
-        settings = exported(load(tmp_path / "car"))[0].settings
-        assert [settings[f"learner.{name}"] for name in numbers] == ["0.123456789", "2"]
+        known = {"learner.discount": "0.123456789", "learner.prior_precision": "2", "learner.kind": "emu-q"}
+        known |= {"runs": "5", "seed": "0"}
+        assert known.items() <= exported(load(tmp_path / "car"))[0].settings.items()
         assert exact([0.1, 1 / 3]) == "0.1, 0.3333333333333333"
 
     def test_without_episodes_there_are_no_curves(self, car, points, tmp_path):
