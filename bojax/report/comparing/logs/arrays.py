@@ -34,11 +34,6 @@ def arrays_of(path: Path) -> dict[str, Any]:
         raise ResultsError(f"{path}: cannot be read without unpickling, or is damaged; {allowed}") from None
 
 
-def is_evaluations(arrays: Mapping[str, Any]) -> bool:
-    """Whether Stable-Baselines3's `EvalCallback` has written these arrays."""
-    return "timesteps" in arrays and "results" in arrays
-
-
 def evaluation_columns(path: Path, arrays: Mapping[str, Any]) -> Columns:
     """The columns of `evaluations.npz`: means over the episodes of each evaluation."""
 

@@ -99,11 +99,11 @@ def _of_files(paths: Sequence[Path]) -> Columns:
     for path in paths:
         if path.suffix == ".npz":
             found = arrays.arrays_of(path)
-            if arrays.is_evaluations(found):
+            if "timesteps" in found and "results" in found:  # as `EvalCallback` writes them
                 columns = {**columns, **arrays.evaluation_columns(path, found)}
         elif path.suffix == ".csv" and path not in events:
             text = text_of(path)
-            if text_tables.is_monitor(text):
+            if text.startswith("#{"):  # of Stable-Baselines3's `Monitor`: a comment in JSON, then CSV
                 monitors.append((path, text))
             elif path.name.endswith("monitor.csv") and text_tables.is_bare_monitor(text):
                 raise ResultsError(

@@ -56,11 +56,6 @@ def table_of(path: Path, text: str, *, first_line: int = 1) -> TextTable:
     return TextTable(path, header, rows)
 
 
-def is_monitor(text: str) -> bool:
-    """Whether a text is a file of Stable-Baselines3's `Monitor`: a comment in JSON, then CSV."""
-    return text.startswith("#{")
-
-
 def is_bare_monitor(text: str) -> bool:
     """Whether a text has the columns of a file of `Monitor`, but not the comment above them."""
     header = [name.strip() for name in text.partition("\n")[0].split(",")]
@@ -81,7 +76,9 @@ def monitor_columns(texts: Sequence[tuple[Path, str]]) -> Columns:
             raise ResultsError(
                 f"{table.path}: no column {missing[0]}; allowed: {', '.join(MONITOR)} and others"
             )
-        _check_lengths(table)
+        for (line, _), length in zip(table.rows, table.column(table.header.index("l")), strict=True):
+            if length < 0:
+                raise ResultsError(f"{table.path}: line {line}: l: got {length:g}; allowed: a length >= 0")
 
     def all_of(name: str) -> Floats:
         return np.concatenate([table.column(table.header.index(name)) for table, _ in tables])
@@ -93,18 +90,6 @@ def monitor_columns(texts: Sequence[tuple[Path, str]]) -> Columns:
         return logged(f"{tables[0][0].path}: {name}", steps, values, is_episodic=True)
 
     return {name: partial(read, name) for name in shared if name != "t"}
-
-
-def _check_lengths(table: TextTable) -> None:
-    """Check that no episode has a negative length.
-
-    Raises:
-        ResultsError: One has; the message names its line.
-    """
-    lengths = table.column(table.header.index("l"))
-    for (line, _), length in zip(table.rows, lengths, strict=True):
-        if length < 0:
-            raise ResultsError(f"{table.path}: line {line}: l: got {length:g}; allowed: a length >= 0")
 
 
 def _start(path: Path, text: str) -> float:
