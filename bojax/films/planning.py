@@ -124,7 +124,9 @@ class _Map:
         self._drive = drive
         draw_outline(axes, drive.point.outline)
         if drive.point.outline.border is None:
-            _fit(axes, drive)
+            plans = [leg.plan for leg in drive.legs if leg.plan is not None]
+            shown = [drive.legs[0].before[None], *(leg.poses for leg in drive.legs), *plans]
+            fit_square(axes, np.concatenate(shown)[:, :2], 1.0)
         axes.set_xticks([])
         axes.set_yticks([])
         self._image: AxesImage | None = None
@@ -197,12 +199,6 @@ def _poses(leg: Leg, is_free: bool) -> Floats:
     headings = np.unwrap(np.concatenate([leg.before[2:], leg.poses[:, 2]]))
     at = np.linspace(0.0, len(headings) - 1.0, len(points))
     return np.column_stack([points, np.interp(at, np.arange(len(headings)), headings)])
-
-
-def _fit(axes: Axes, drive: Drive) -> None:
-    """Set limits that show all paths, plans and shapes of a problem without a border."""
-    shown = [leg.poses for leg in drive.legs] + [leg.plan for leg in drive.legs if leg.plan is not None]
-    fit_square(axes, np.concatenate([drive.legs[0].before[None], *shown])[:, :2], 1.0)
 
 
 def _robot_of(drive: Drive, path: Path | None) -> "tuple[RobotModel, bool]":

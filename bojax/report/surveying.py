@@ -62,7 +62,8 @@ def survey_summary(folder: Path) -> str:
 
 
 def _summary(survey: Mapping[str, Any]) -> str:
-    chosen, mower = survey["candidates"][0], _lawnmower(survey)
+    chosen = survey["candidates"][0]
+    mower = next(each for each in survey["candidates"] if each["method"] == "lawnmower")
     before = chosen["errors"][0]
     robots = len(chosen["routes"])
     each = "" if robots == 1 else f" at most for each of {robots} robots"
@@ -79,10 +80,6 @@ def _summary(survey: Mapping[str, Any]) -> str:
         return f"{text}. The best lawnmower leaves less, {left}, but its robots come closer than asked."
     other = f"{number(mower['errors'][-1])}, {_distance(mower['length'])} long"
     return f"{text}, {100 * gain:.1f}% less than the best lawnmower ({other})."
-
-
-def _lawnmower(survey: Mapping[str, Any]) -> Mapping[str, Any]:
-    return next(each for each in survey["candidates"] if each["method"] == "lawnmower")
 
 
 def _distance(metres: float) -> str:
