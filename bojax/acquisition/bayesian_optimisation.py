@@ -10,7 +10,6 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.acquisition.functions import Acquisition, UpperConfidenceBound
 from bojax.acquisition.maximise import best_candidate, best_refined, refine
-from bojax.acquisition.scaling import centre_and_unit, standardise
 from bojax.acquisition.thompson import ThompsonSampling
 from bojax.models.checks import (
     Numbers,
@@ -336,7 +335,7 @@ class BayesianOptimisation(eqx.Module):
 
     def _scale(self, state: OptimisationState) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Value and unit of the objective that are 0 and 1 of the standardised values."""
-        return centre_and_unit(state.model.y, state.model.is_held())
+        return standardise(state.model.y, state.model.is_held())[1:]
 
     def _quasirandom(self, key: Key[Array, ""]) -> Float[Array, "C D"]:
         return shifted_kronecker(key, self.num_candidates, self.low.shape[0], self.low.dtype)
@@ -366,7 +365,30 @@ class BayesianOptimisation(eqx.Module):
 
 
 def _standardised(model: GaussianProcess) -> GaussianProcess:
-    return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, model.is_held()))
+    return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, model.is_held())[0])
+
+
+def standardise(
+    values: Float[Array, "N"], exists: Bool[Array, "N"]
+) -> tuple[Float[Array, "N"], Float[Array, ""], Float[Array, ""]]:
+    """Values of mean 0 and variance 1, the mean that was subtracted, and the deviation that divides.
+
+    Values are 0 if all are equal, and where `exists` is false. Equal values are divided by 1, and the mean of
+    none is 0.
+    """
+    values = jnp.where(exists, values, 0.0)
+    # Without this scaling, squares of large values would overflow.
+    largest = jnp.max(jnp.abs(values), initial=0.0)
+    largest = jnp.where(largest > 0.0, largest, 1.0)
+    values = values / largest
+    number = jnp.maximum(jnp.sum(exists), 1).astype(values.dtype)
+    mean = jnp.sum(values) / number
+    centred = jnp.where(exists, values - mean, 0.0)
+    std = jnp.sqrt(jnp.sum(centred**2) / number)
+    # Equal values differ from their mean by rounding only.
+    is_constant = std <= 100.0 * jnp.finfo(values.dtype).eps
+    scaled = jnp.where(is_constant, 0.0, centred / jnp.where(is_constant, 1.0, std))
+    return scaled, largest * mean, jnp.where(is_constant, 1.0, largest * std)
 
 
 def highest(model: GaussianProcess) -> Float[Array, ""]:
