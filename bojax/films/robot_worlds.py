@@ -11,8 +11,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
-from bojax.robots.jaco import jaco_model
-from bojax.robots.models import RobotModel, from_file, mujoco, packaged
+from bojax.robots.models import RobotModel, from_file, jaco_model, mujoco, packaged
 
 Heights = NDArray[np.float64]
 """Heights in metres on a regular grid over the domain; the first axis is y, the second x, both increasing."""

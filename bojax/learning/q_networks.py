@@ -21,7 +21,7 @@ from bojax.envs.spaces import Space
 from bojax.learning.actions import grid_actions, nearest_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.memory import Memory, emptied
-from bojax.learning.network import Network
+from bojax.learning.networks import Network
 
 
 class Batch(eqx.Module):

@@ -9,7 +9,7 @@ from typing_extensions import override
 from bojax.envs.base import Action, Observation
 from bojax.learning.actions import nearest_action
 from bojax.learning.base import ExplorationState
-from bojax.learning.network import Network
+from bojax.learning.networks import Network
 from bojax.learning.policy import best_action
 from bojax.learning.q_networks import Batch, QNetworkLearner, QNetworkState
 

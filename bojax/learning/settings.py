@@ -55,7 +55,7 @@ class FourierBasisFeatures(FeatureSettings, frozen=True):
 class NormalisedRBF(FeatureSettings, frozen=True):
     """Normalised radial basis functions: local features, with which values do not extrapolate."""
 
-    target: ClassVar[str] = "bojax.learning.rbf_features:NormalisedRBFSpec"
+    target: ClassVar[str] = "bojax.learning.features:NormalisedRBFSpec"
     kind: Literal["normalised-rbf"] = "normalised-rbf"
     num_state_centres: int = Field(default=100, ge=1, description="number of centres in the observations")
     num_action_centres: int = Field(

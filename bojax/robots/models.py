@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -82,3 +83,17 @@ def _compiled(model: RobotModel) -> MjModel:
         return model.spec().compile()
     except ValueError as error:
         raise ValueError(one_line(error)) from error
+
+
+def jaco_model(joints: Collection[int]) -> RobotModel:
+    """The Jaco arm with only these joints movable (thesis, Section 5.7.3).
+
+    Joints are numbered from 1 at the base to 6 at the hand. The others are fixed in the upright
+    configuration of the arm and have no motor.
+    """
+    spec = packaged("jaco").spec()
+    for number in range(1, 7):
+        if number not in joints:
+            for part in (spec.actuator(f"joint_{number}"), spec.joint(f"joint_{number}")):
+                spec.delete(part)
+    return RobotModel(spec.to_xml())

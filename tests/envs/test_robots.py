@@ -20,8 +20,7 @@ from bojax.envs.check import check_env
 from bojax.envs.control import ControlStep
 from bojax.envs.robots import settings as envs
 from bojax.envs.robots.reacher import Reacher, fingertip
-from bojax.robots.jaco import jaco_model
-from bojax.robots.models import RobotModel
+from bojax.robots.models import RobotModel, jaco_model
 from tests.compiling import REPEATABLY
 from tests.reference.jaco import dm_control_jaco, finger_tips
 

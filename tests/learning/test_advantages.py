@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.learning import advantages
-from bojax.learning.advantages import LinearBaseline
+from bojax.learning import trpo
+from bojax.learning.trpo import LinearBaseline
 from tests.reference import vime as reference
 
-discounted_sums, td_errors = jax.jit(advantages.discounted_sums), jax.jit(advantages.td_errors)
+discounted_sums, td_errors = jax.jit(trpo.discounted_sums), jax.jit(trpo.td_errors)
 fit, predict = eqx.filter_jit(LinearBaseline.fit), eqx.filter_jit(LinearBaseline.predict)
 
 LENGTHS = (5, 1, 12, 7)

@@ -10,7 +10,7 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning import refit_equations, refit_rows
+from bojax.learning import refit, refit_policy
 from bojax.learning.base import Episode, Transition
 from bojax.learning.features import FourierFeatures
 from bojax.learning.settings import (
@@ -22,7 +22,7 @@ from bojax.learning.settings import (
 )
 from bojax.numerics.lanes import LANES
 from bojax.numerics.linalg import solve_large
-from bojax.numerics.stragglers import LEAST
+from bojax.numerics.loops import LEAST
 from tests.learning.probes import exploring
 from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode, StoredRewards
 from tests.tiers import by_tier
@@ -234,8 +234,8 @@ def test_direct_solutions_are_those_of_numpy(monkeypatch, size):
         jax.debug.callback(lambda: solved.append(1))
         return solve_large(matrix, constants)
 
-    monkeypatch.setattr(refit_equations, "solve_large", counted)
-    monkeypatch.setattr(refit_equations, "CHANGED_ON_CPU", size)
+    monkeypatch.setattr(refit, "solve_large", counted)
+    monkeypatch.setattr(refit, "CHANGED_ON_CPU", size)
     features = {"num_features": 30, "action_lengthscale": 0.1, "state_lengthscale": 0.3}
     learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions="always")
     steps, start = transitions(), 3.0 * np.random.default_rng(2).normal(size=(2, 30))
@@ -344,7 +344,7 @@ def test_blocks_of_a_refit_do_not_matter_nor_whether_features_are_stored_or_reco
         learn(*make(refit=how, refit_block=block), steps)[1].posterior.mean for block in (7, NUM_STEPS, 512)
     ]
     for name in ("NUM_STORED", "NUM_STORED_ON_CPU"):
-        monkeypatch.setattr(refit_rows, name, 16)
+        monkeypatch.setattr(refit_policy, name, 16)
     means.append(learn(*make(refit=how, refit_block=10), steps, patched=16)[1].posterior.mean)
     for mean in means[1:]:
         np.testing.assert_allclose(means[0], mean, atol=1e-9)

@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from scipy import special
 
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning.stochastic_policy import Categorical, Gaussian, PolicyNetwork
+from bojax.learning.networks import Categorical, Gaussian, PolicyNetwork
 from bojax.learning.trpo import TRPO, Samples
 
 SPACES = {"continuous": Box(-jnp.ones(2), jnp.ones(2)), "discrete": Discrete(3)}

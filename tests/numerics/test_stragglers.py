@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.numerics.lanes import LANES, any_lane
-from bojax.numerics.stragglers import LEAST, SHARE, while_going
+from bojax.numerics.loops import LEAST, SHARE, while_going
 
 
 def collatz(start: int, growth: int) -> tuple[int, int, int]:

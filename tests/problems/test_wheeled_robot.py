@@ -17,8 +17,8 @@ from bojax.motions.settings import KernelTrajectories
 from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
-from bojax.robots.car import car_parameters
 from bojax.robots.models import packaged
+from bojax.robots.pursuit import car_parameters
 from tests.compiling import REPEATABLY
 from tests.reference import pure_pursuit as reference
 

@@ -13,8 +13,7 @@ import pytest
 import bojax.robots.simulator
 from bojax.engine.build import build
 from bojax.numerics.pallas import kernels_run_here
-from bojax.robots.jaco import jaco_model
-from bojax.robots.models import RobotModel, from_file, packaged
+from bojax.robots.models import RobotModel, from_file, jaco_model, packaged
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
 from tests.compiling import REPEATABLY

@@ -13,8 +13,7 @@ from typing_extensions import override
 from bojax.envs.control import ControlStep
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
-from bojax.robots.jaco import jaco_model
-from bojax.robots.models import RobotModel, mujoco
+from bojax.robots.models import RobotModel, jaco_model, mujoco
 from bojax.robots.simulator import Physics, RobotState
 
 _NOISE = 0.1

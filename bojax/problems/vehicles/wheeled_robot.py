@@ -12,9 +12,8 @@ from bojax.motions.base import Path, Pose
 from bojax.problems.vehicles.base import TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, frames_of, planar
 from bojax.robots import pursuit
-from bojax.robots.car import CarParameters, car_parameters
 from bojax.robots.models import packaged
-from bojax.robots.pursuit import PIECES, Route
+from bojax.robots.pursuit import PIECES, CarParameters, Route, car_parameters
 from bojax.robots.simulator import Physics, Simulator
 
 FRAME_EVERY = 2  # number of measurements between two frames of an animation

@@ -1,89 +1,81 @@
-"""A stochastic policy: a network from the observation to a distribution of actions."""
+"""Multilayer perceptrons, and stochastic policies: from the observation to a distribution of actions."""
 
-import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
-from typing_extensions import override
 
 from bojax.envs.spaces import Discrete, Space
-from bojax.learning.network import Network
+from bojax.numerics.linalg import matmul
 
 
-class ActionDistribution(eqx.Module):
-    """A distribution of actions: vectors, or the numbers of discrete actions."""
+class Network(eqx.Module):
+    """A multilayer perceptron: `equinox.nn.MLP` with arrays as its only leaves."""
 
-    @abc.abstractmethod
-    def sample(self, key: Key[Array, ""]) -> Array:
-        """A random action."""
+    layers: tuple[eqx.nn.Linear, ...]  # linear layers, each with a bias
+    # Activation function of the hidden units; the outputs are linear
+    activation: Callable[[Array], Array] = eqx.field(static=True)
 
-    @abc.abstractmethod
-    def mode(self) -> Array:
-        """The most probable action."""
-
-    @abc.abstractmethod
-    def log_probability(self, action: Array) -> Float[Array, ""]:
-        """Logarithm of the density or probability of an action."""
-
-    @abc.abstractmethod
-    def kl(self, other: "ActionDistribution") -> Float[Array, ""]:
-        """KL divergence of this distribution from another one of its class."""
+    def __call__(self, x: Float[Array, "I"]) -> Float[Array, "O"]:
+        """The outputs for one input."""
+        for number, layer in enumerate(self.layers):
+            assert layer.bias is not None
+            x = matmul(layer.weight, self.activation(x) if number else x) + layer.bias
+        return x
 
 
-class Gaussian(ActionDistribution):
-    """Independent Gaussian components."""
+class Gaussian(eqx.Module):
+    """Actions of independent Gaussian components."""
 
     mean: Float[Array, "A"]
     log_deviation: Float[Array, "A"]  # logarithms of the standard deviations
 
-    @override
     def sample(self, key: Key[Array, ""]) -> Float[Array, "A"]:
+        """A random action."""
         return self.mean + jnp.exp(self.log_deviation) * jax.random.normal(
             key, self.mean.shape, self.mean.dtype
         )
 
-    @override
     def mode(self) -> Float[Array, "A"]:
+        """The most probable action."""
         return self.mean
 
-    @override
     def log_probability(self, action: Float[Array, "A"]) -> Float[Array, ""]:
+        """Logarithm of the density of an action."""
         errors = (action - self.mean) * jnp.exp(-self.log_deviation)
         return -jnp.sum(0.5 * errors**2 + self.log_deviation + 0.5 * math.log(2.0 * math.pi))
 
-    @override
-    def kl(self, other: ActionDistribution) -> Float[Array, ""]:
-        assert isinstance(other, Gaussian)
+    def kl(self, other: Any) -> Float[Array, ""]:
+        """KL divergence of this distribution from another Gaussian one."""
         shift = self.log_deviation - other.log_deviation
         errors = (self.mean - other.mean) * jnp.exp(-other.log_deviation)
         return jnp.sum(0.5 * (jnp.exp(2.0 * shift) + errors**2 - 1.0) - shift)
 
 
-class Categorical(ActionDistribution):
+class Categorical(eqx.Module):
     """A finite number of actions."""
 
     logits: Float[Array, "J"]  # logarithms of the probabilities, up to a constant
 
-    @override
     def sample(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        """A random action."""
         return jax.random.categorical(key, self.logits).astype(jnp.int32)
 
-    @override
     def mode(self) -> Int[Array, ""]:
+        """The most probable action."""
         return jnp.argmax(self.logits).astype(jnp.int32)
 
-    @override
     def log_probability(self, action: Int[Array, ""]) -> Float[Array, ""]:
+        """Logarithm of the probability of an action."""
         return jax.nn.log_softmax(self.logits)[action]
 
-    @override
-    def kl(self, other: ActionDistribution) -> Float[Array, ""]:
-        assert isinstance(other, Categorical)
+    def kl(self, other: Any) -> Float[Array, ""]:
+        """KL divergence of this distribution from another one of as many actions."""
         own, others = jax.nn.log_softmax(self.logits), jax.nn.log_softmax(other.logits)
         return jnp.sum(jnp.exp(own) * (own - others))
 
@@ -119,7 +111,7 @@ class PolicyNetwork(eqx.Module):
             return cls(network, None)
         return cls(network, jnp.broadcast_to(jnp.log(deviation), sizes[-1:]))
 
-    def __call__(self, inputs: Float[Array, "I"]) -> ActionDistribution:
+    def __call__(self, inputs: Float[Array, "I"]) -> Gaussian | Categorical:
         """The distribution of actions after an observation."""
         outputs = self.network(inputs)
         if self.log_deviation is None:
