@@ -82,7 +82,7 @@ def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
 
     def end(index, state):
         key = jax.random.fold_in(jax.random.key(args.seed), index)
-        return learner.refitter(key, state, learner.exploration_weight, jnp.asarray(True))
+        return learner.refitted(key, state, learner.exploration_weight, jnp.asarray(True))
 
     what = f"bojax, {how}, {lanes} at once"
     return time_runs(

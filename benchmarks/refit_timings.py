@@ -129,7 +129,7 @@ def row_of(tree, index):
 def reference(run, state, key) -> tuple[np.ndarray, int]:
     """The means after a refit in NumPy, in float64, and the number of policies."""
     learner, number = run.learner, int(state.memory.count)
-    candidates, samples = learner.model.actions(jax.random.split(key)[1], state)
+    candidates, samples = learner.actions(jax.random.split(key)[1], state)
     features = jax.tree.map(
         lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, state.features
     )

@@ -13,16 +13,14 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Space
 from bojax.learning.actions import even_actions, refined_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
-from bojax.learning.emu_q_model import TERMINAL_Q, TERMINAL_U, EMUQModel, EMUQState, Q, U
-from bojax.learning.features import FeatureSpec
+from bojax.learning.emu_q_model import EMUQState, Q, U
 from bojax.learning.memory import Memory, StoredRewards, emptied
 from bojax.learning.refit import Refit
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
-from bojax.numerics.choices import Choice
 from bojax.numerics.lanes import lane_by_lane_on_cpu
 
 
-class EMUQ(Learner):
+class EMUQ(Refit, Learner):
     """EMU-Q with the corrections of the printed algorithm, or with the deviations of the published code.
 
     The exploration reward of a transition (5.12) is the mean variance phi'S phi of Q at the next state, less
@@ -36,29 +34,12 @@ class EMUQ(Learner):
     # The covariances of more lanes do not fit into a core's cache.
     lanes_on_cpu: ClassVar[int] = 8
 
-    features: FeatureSpec
-    prior_precision: Float[Array, ""]
-    noise_precision: Float[Array, ""]
-    discount: Float[Array, ""]
-    u_discount: Float[Array, ""] | None
     kappa: Float[Array, ""]
-    tolerance: Float[Array, ""]
     num_actions: int = eqx.field(static=True)
     num_samples: int = eqx.field(static=True)
-    draw_actions: Literal["once", "always"] = eqx.field(static=True)
     refine_steps: int = eqx.field(static=True)
-    reward_order: Literal["before", "after"] = eqx.field(static=True)
-    terminal_q: Choice = eqx.field(converter=TERMINAL_Q)
-    terminal_u: Choice = eqx.field(converter=TERMINAL_U)
-    optimistic_u: bool = eqx.field(static=True)
-    has_noise: bool = eqx.field(static=True)
-    refit: Literal["sweeps", "direct", "none"] = eqx.field(static=True)
     refit_rewards: Literal["recomputed", "stored"] = eqx.field(static=True)
-    max_sweeps: int = eqx.field(static=True)
-    mixes_transitions: bool = eqx.field(static=True)
-    clips_u: bool = eqx.field(static=True)
     block: int = eqx.field(static=True)
-    refit_block: int = eqx.field(static=True)
 
     # Algorithm 6.
 
@@ -98,22 +79,22 @@ class EMUQ(Learner):
         """Line 6: argmax Q + kappa U over the candidates (5.10)."""
         # A test has scale 0: then kappa is 0, and the policy is argmax Q.
         key_draw, key_ties = jax.random.split(key)
-        model, kappa = self.model, exploration.scale * self.exploration_weight
-        candidates, _ = model.actions(key_draw, state)
-        ties = model.ties(state)
-        action, values = model.greedy_action(key_ties, state, observation, candidates, kappa, ties)
+        kappa = exploration.scale * self.exploration_weight
+        candidates, _ = self.actions(key_draw, state)
+        ties = self.ties(state)
+        action, values = self.greedy_action(key_ties, state, observation, candidates, kappa, ties)
         expected = values[Q]
         space = state.features.actions
         if self.refine_steps and isinstance(space, Box):
 
             def scores(actions: Action) -> Float[Array, "J"]:
-                values = model.values(state.posterior, state.phi(observation, actions))
+                values = self.q_and_u(state.posterior, state.phi(observation, actions))
                 return values[:, Q] + kappa * values[:, U]
 
             # The spacing that as many candidates would have on a regular grid.
             spacing = (space.high - space.low) / len(candidates) ** (1.0 / space.num_dims)
             action = refined_action(scores, action, space, spacing, self.refine_steps)
-            expected = model.values(state.posterior, state.phi(observation, action[None]))[0, Q]
+            expected = self.q_and_u(state.posterior, state.phi(observation, action[None]))[0, Q]
         return action, expected
 
     @override
@@ -126,8 +107,8 @@ class EMUQ(Learner):
         step_in_block: Int[Array, ""],
     ) -> EMUQState:
         """Lines 8 to 12."""
-        model, features, posterior = self.model, state.features, state.posterior
-        candidates, samples = model.actions(key, state)
+        features, posterior = state.features, state.posterior
+        candidates, samples = self.actions(key, state)
         kappa = exploration.scale * self.exploration_weight
         # A weight of 0 in place of a branch: the posterior of a lane that does not learn stays the same.
         weight = exploration.is_learning.astype(kappa.dtype)
@@ -137,13 +118,13 @@ class EMUQ(Learner):
         phi = features(transition.observation, transition.action)
         phi_samples = jnp.concatenate([phi[None], state.phi(transition.next_observation, samples)])
         variances, product = posterior.variances_and_product(phi_samples)
-        bonus = model.exploration_reward(
-            jnp.mean(model.sample_variances(posterior, phi_samples, variances, product, weight))
+        bonus = self.exploration_reward(
+            jnp.mean(self.sample_variances(posterior, phi_samples, variances, product, weight))
         )
 
         # The TD targets of lines 10 and 11, with a' = pi(s').
-        _, values = model.greedy_action(key, state, transition.next_observation, candidates, kappa, "first")
-        target = model.td_target(transition.reward, bonus, values, transition.terminated)
+        _, values = self.greedy_action(key, state, transition.next_observation, candidates, kappa, "first")
+        target = self.td_target(transition.reward, bonus, values, transition.terminated)
 
         # Lines 9 to 12, the covariance and both means, in gain form: with k the gain of (5.22), m = S t
         # becomes m += k (target - phi'm), so that neither t nor a product with the new S is needed.
@@ -165,7 +146,7 @@ class EMUQ(Learner):
         state = eqx.tree_at(lambda s: s.memory, state, state.memory.add(episode, exploration.is_learning))
         # A CPU refits one lane after the other: their numbers of sweeps and of transitions differ.
         kappa = exploration.scale * self.exploration_weight
-        mean = lane_by_lane_on_cpu(Refit.__call__, self.refitter, key, state, kappa, exploration.is_learning)
+        mean = lane_by_lane_on_cpu(Refit.refitted, self, key, state, kappa, exploration.is_learning)
         return eqx.tree_at(lambda s: s.posterior.mean, state, mean)
 
     # The other methods of a learner.
@@ -197,32 +178,5 @@ class EMUQ(Learner):
     def values(
         self, state: EMUQState, observation: Observation, action: Action
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        values = self.model.values(state.posterior, state.features(observation, action)[None])[0]
+        values = self.q_and_u(state.posterior, state.features(observation, action)[None])[0]
         return values[Q], values[U]
-
-    # The parts of EMU-Q.
-
-    @property
-    def model(self) -> EMUQModel:
-        """Values, exploration rewards and TD targets."""
-        return EMUQModel(
-            prior_precision=self.prior_precision,
-            noise_precision=self.noise_precision,
-            discount=self.discount,
-            u_discount=self.discount if self.u_discount is None else self.u_discount,
-            state_lengthscale=getattr(self.features, "state_lengthscale", jnp.ones_like(self.discount)),
-            draw_actions=self.draw_actions,
-            reward_order=self.reward_order,
-            terminal_q=self.terminal_q,
-            terminal_u=self.terminal_u,
-            optimistic_u=self.optimistic_u,
-            has_noise=self.has_noise,
-            mixes_transitions=self.mixes_transitions,
-            clips_u=self.clips_u,
-        )
-
-    @property
-    def refitter(self) -> Refit:
-        """The fit at the end of an episode."""
-        is_direct = self.refit == "direct"
-        return Refit(self.model, self.tolerance, is_direct, self.max_sweeps, block=self.refit_block)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box
-from bojax.learning.features import StateActionFeatures
+from bojax.learning.features import FeatureSpec, StateActionFeatures
 from bojax.learning.memory import Memory, StoredRewards
 from bojax.learning.policy import Ties, best_action
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
@@ -21,8 +21,6 @@ from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.linalg import matmul
 
 Q, U = 0, 1  # columns of the mean of the weights
-TERMINAL_Q = one_of("zero", "bootstrap")  # readings of Q of a terminal state
-TERMINAL_U = one_of("absorbing", "bootstrap", "zero")  # readings of U of a terminal state
 
 
 class EMUQState(eqx.Module):
@@ -41,17 +39,17 @@ class EMUQState(eqx.Module):
 
 
 class EMUQModel(eqx.Module):
-    """The quantities that Algorithm 6 computes from the posterior of the weights; fields as in `EMUQ`."""
+    """The part of `EMUQ` that computes what Algorithm 6 does from the posterior of the weights."""
 
+    features: FeatureSpec
     prior_precision: Float[Array, ""]
     noise_precision: Float[Array, ""]
     discount: Float[Array, ""]
-    u_discount: Float[Array, ""]
-    state_lengthscale: Float[Array, ""]
+    u_discount: Float[Array, ""] | None
     draw_actions: Literal["once", "always"] = eqx.field(static=True)
     reward_order: Literal["before", "after"] = eqx.field(static=True)
-    terminal_q: Choice
-    terminal_u: Choice
+    terminal_q: Choice = eqx.field(converter=one_of("zero", "bootstrap"))
+    terminal_u: Choice = eqx.field(converter=one_of("absorbing", "bootstrap", "zero"))
     optimistic_u: bool = eqx.field(static=True)
     has_noise: bool = eqx.field(static=True)
     mixes_transitions: bool = eqx.field(static=True)
@@ -78,7 +76,7 @@ class EMUQModel(eqx.Module):
 
     # Values.
 
-    def values(self, posterior: BayesianLinearRegression, phi: Float[Array, "J M"]) -> Float[Array, "J 2"]:
+    def q_and_u(self, posterior: BayesianLinearRegression, phi: Float[Array, "J M"]) -> Float[Array, "J 2"]:
         """Q and U: phi'm_Q and phi'm_U."""
         # Both means share the features: one product with two columns.
         values = matmul(phi, posterior.mean)
@@ -99,7 +97,7 @@ class EMUQModel(eqx.Module):
         """The action that maximises Q + kappa U (5.10), and its Q and U."""
         phi, mean = state.phi(observation, actions), state.posterior.mean
         if self.optimistic_u:
-            values = self.values(state.posterior, phi)
+            values = self.q_and_u(state.posterior, phi)
             scores = values[:, Q] + kappa * values[:, U]
         else:
             # A single product: XLA fuses it with the features on a GPU, and does not store them.
@@ -107,7 +105,7 @@ class EMUQModel(eqx.Module):
         # Q and U of the chosen action alone, with its features computed again: to keep those of all
         # candidates would cost more than to compute one.
         action = actions[best_action(key, scores, ties)]
-        return action, self.values(state.posterior, state.phi(observation, action[None]))[0]
+        return action, self.q_and_u(state.posterior, state.phi(observation, action[None]))[0]
 
     def u_factor(self, variances: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """With `optimistic_u`, the factor 1 - rho of U at features of the given variances; 1 in Algorithm 6.
@@ -117,11 +115,17 @@ class EMUQModel(eqx.Module):
         """
         if not self.optimistic_u:
             return jnp.ones_like(variances)
-        smallest = 1.0 / (self.state_lengthscale * (8.0 * self.noise_precision + self.prior_precision))
+        lengthscale = getattr(self.features, "state_lengthscale", jnp.ones_like(self.discount))
+        smallest = 1.0 / (lengthscale * (8.0 * self.noise_precision + self.prior_precision))
         rho = jnp.maximum((variances - smallest) / (1.0 / self.prior_precision - smallest), 0.0)
         return 1.0 - rho
 
     # Exploration rewards.
+
+    @property
+    def discount_of_u(self) -> Float[Array, ""]:
+        """Discount of exploration rewards."""
+        return self.discount if self.u_discount is None else self.u_discount
 
     def exploration_reward(self, variance: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """The exploration reward (5.12): the mean variance of Q at s' minus its maximum V_max = 1/alpha.
@@ -139,7 +143,7 @@ class EMUQModel(eqx.Module):
         if not self.clips_u:
             return u
         variances = jnp.stack([jnp.zeros_like(self.prior_precision), 1.0 / self.prior_precision])
-        low, high = self.exploration_reward(variances) / (1.0 - self.u_discount)
+        low, high = self.exploration_reward(variances) / (1.0 - self.discount_of_u)
         return jnp.clip(u, low, high)
 
     def sample_variances(
@@ -190,9 +194,9 @@ class EMUQModel(eqx.Module):
         # An absorbing state pays r_e in every step to come: r_e + gamma r_e / (1 - gamma) = r_e / (1 -
         # gamma).
         q = jnp.where(terminated & self.terminal_q.is_("zero"), 0.0, next_values[Q])
-        forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.u_discount), 0.0)
+        forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.discount_of_u), 0.0)
         u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, self.clipped_u(next_values[U]))
-        return jnp.stack([reward + self.discount * q, bonus + self.u_discount * u], axis=-1)
+        return jnp.stack([reward + self.discount * q, bonus + self.discount_of_u * u], axis=-1)
 
     def q_discount(self, terminated: Bool[Array, "B"]) -> Float[Array, "B"]:
         """Factor of Q(s', a') in the TD target of Q."""
@@ -204,6 +208,6 @@ class EMUQModel(eqx.Module):
     ) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
         """Constant term of the TD target of U, and its factor of phi(s', a')'m_U."""
         is_absorbing = terminated & self.terminal_u.is_("absorbing")
-        constant = jnp.where(is_absorbing, bonus / (1.0 - self.u_discount), bonus)
+        constant = jnp.where(is_absorbing, bonus / (1.0 - self.discount_of_u), bonus)
         ends = terminated & ~self.terminal_u.is_("bootstrap")
-        return constant, jnp.where(ends, 0.0, self.u_discount * factor)
+        return constant, jnp.where(ends, 0.0, self.discount_of_u * factor)

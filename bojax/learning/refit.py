@@ -6,6 +6,7 @@ to, ((alpha / beta) I + Phi'(Phi - gamma Phi_next)) m = Phi'r.
 """
 
 from collections.abc import Callable
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -142,16 +143,15 @@ class Equations(eqx.Module):
         return (constants - product).astype(weights.dtype)
 
 
-class Refit(eqx.Module):
-    """The fit of the means of Q and U to all transitions; the fields are settings of `EMUQ`."""
+class Refit(EMUQModel):
+    """The part of `EMUQ` that fits the means of Q and U to all transitions."""
 
-    model: EMUQModel
     tolerance: Float[Array, ""]
-    is_direct: bool = eqx.field(static=True)
+    refit: Literal["sweeps", "direct", "none"] = eqx.field(static=True)
     max_sweeps: int = eqx.field(static=True)
-    block: int = eqx.field(static=True)
+    refit_block: int = eqx.field(static=True)
 
-    def __call__(
+    def refitted(
         self, key: Key[Array, ""], state: EMUQState, kappa: Float[Array, ""], is_active: Bool[Array, ""]
     ) -> Float[Array, "M 2"]:
         """The fitted means of Q and U; unchanged if not active.
@@ -163,15 +163,16 @@ class Refit(eqx.Module):
         as the published code does; a direct solution, which that code lacks, draws them once.
         """
         key_q, key_u = jax.random.split(key)
-        is_linear = self.is_direct and not self.model.clips_u
-        transitions = Transitions.of(state, largest_block(self.block), with_phi=not is_linear)
+        is_direct = self.refit == "direct"
+        is_linear = is_direct and not self.clips_u
+        transitions = Transitions.of(state, largest_block(self.refit_block), with_phi=not is_linear)
         mean = state.posterior.mean
-        gain = self.model.noise_precision * state.posterior.base
-        drawn, samples = self.model.actions(key_u, state)
+        gain = self.noise_precision * state.posterior.base
+        drawn, samples = self.actions(key_u, state)
         stored = state.stored
         bonus = self._exploration_rewards(state, samples) if stored is None else stored.values
-        candidates = Candidates.of(self.model, state, drawn, kappa)
-        if self.is_direct:
+        candidates = Candidates.of(self, state, drawn, kappa)
+        if is_direct:
             # With one set of candidates there are finitely many policies, which usually settle after a few.
             solution = self._solve(transitions, candidates, bonus, mean, is_active)
             if is_linear:
@@ -184,34 +185,34 @@ class Refit(eqx.Module):
 
         # Lines 14-15: m_Q <- beta S Phi'(r + gamma Phi_next m_Q), with a' greedy for the current m_Q and m_U.
         def sweep(number, q):
-            actions, _ = self.model.actions(jax.random.fold_in(key_q, number), state)
-            anew = Candidates.of(self.model, state, actions, kappa)
+            actions, _ = self.actions(jax.random.fold_in(key_q, number), state)
+            anew = Candidates.of(self, state, actions, kappa)
             choose, split = anew.greedy(mean.at[:, Q].set(q)), anew.split(q)
 
             def visit(total, rows):
                 value = row_sums(rows.x * split[choose(rows.x)[0]])
-                target = rows.memory.rewards + self.model.q_discount(rows.memory.terminated) * value
+                target = rows.memory.rewards + self.q_discount(rows.memory.terminated) * value
                 return total + matmul(rows.valid(target), rows.phi)
 
             return matmul(gain, transitions.fold(visit, jnp.zeros_like(q)))
 
         mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
-        if self.model.clips_u:
+        if self.clips_u:
             clipped = self._clipped_sweep(transitions, candidates, bonus, mean)
             return self._swept_u(lambda u: matmul(gain, clipped(u)), mean, is_active)
         # Lines 16-17. With a' fixed, a sweep is an affine map of the weights: one pass over the transitions
         # is enough. As beta S (K + Phi'D Phi_next) = I, it adds beta S times the residual of the equations.
         policy = Policy.of(transitions, candidates, mean)
-        equations = Equations.empty(self.model, state)
+        equations = Equations.empty(self, state)
         equations = equations.followed(candidates, state, bonus, policy, jnp.asarray(True))
         return self._swept_u(lambda u: u + matmul(gain, equations.residual(u, True)), mean, is_active)
 
     def _exploration_rewards(self, state: EMUQState, samples: Action) -> Float[Array, "C"]:
         """The exploration reward (5.12) of every transition, for the actions of `samples`."""
-        model, features, memory = self.model, state.features, state.memory
+        features, memory = state.features, state.memory
         ys = jax.vmap(features.action)(samples)
         # The mean over the samples can be taken first, unless it is the published code's.
-        groups = ys[:, None] if model.mixes_transitions else ys[None]
+        groups = ys[:, None] if self.mixes_transitions else ys[None]
         forms = jax.vmap(lambda ys: features.mean_form(state.posterior.base, ys))(groups)
 
         # Computed once a refit, so x(s') is computed again here: reading the stored part would put a second
@@ -221,8 +222,8 @@ class Refit(eqx.Module):
             return jax.lax.dynamic_update_slice_in_dim(variances, quadratic_forms(x, forms), index[0], 0)
 
         start = jnp.zeros((len(memory.rewards), len(forms)), forms.dtype)
-        variances = memory.fold(visit, start, largest_block(self.block))
-        return model.exploration_reward(model.mean_variances(variances, memory.count))
+        variances = memory.fold(visit, start, largest_block(self.refit_block))
+        return self.exploration_reward(self.mean_variances(variances, memory.count))
 
     def _clipped_sweep(
         self,
@@ -238,9 +239,9 @@ class Refit(eqx.Module):
             split = candidates.split(weights)
 
             def visit(total, rows):
-                value = self.model.clipped_u(row_sums(rows.x * split[rows.of(policy.chosen)]))
+                value = self.clipped_u(row_sums(rows.x * split[rows.of(policy.chosen)]))
                 terms = rows.of(bonus), rows.of(policy.factors), rows.memory.terminated
-                constant, discount = self.model.u_terms(*terms)
+                constant, discount = self.u_terms(*terms)
                 return total + matmul(rows.valid(constant + discount * value), rows.phi)
 
             return transitions.fold(visit, jnp.zeros_like(weights))
@@ -294,7 +295,7 @@ class Refit(eqx.Module):
 
         zero, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
         infinite = jnp.full((), jnp.inf, mean.dtype)
-        equations = Equations.empty(self.model, transitions.state)
+        equations = Equations.empty(self, transitions.state)
         seen = jnp.zeros((self.max_sweeps, 2), jnp.uint32)
         loop = zero, mean, infinite, zero, equations, seen, no, is_active
         return while_going(lambda loop: loop[-1], step, loop)[1]

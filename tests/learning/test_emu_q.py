@@ -245,7 +245,7 @@ def test_direct_solutions_are_those_of_numpy(monkeypatch, size):
     after = end_episode(learner, state, episode, EXPLORING, patched=size)
     jax.effects_barrier()
 
-    candidates, samples = learner.model.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
+    candidates, samples = learner.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
     reference = reference_of(DirectRefit, learner, state)
     reference.candidates, reference.samples = lambda: np.asarray(candidates), lambda: np.asarray(samples)
     reference.s, (reference.m_q, reference.m_u) = np.asarray(state.posterior.base), start
@@ -273,7 +273,7 @@ def unstable():
 def test_rounding_does_not_decide_which_policy_of_a_cycle_is_returned():
     """From a policy of a cycle of two, the weights change by the same norm with each policy."""
     learner, state, steps = unstable()
-    candidates, _ = learner.model.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
+    candidates, _ = learner.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
     reference = reference_of(DirectRefit, learner, state)
     reference.s = np.asarray(state.posterior.base)
     phi, (_, _, rewards, nexts, is_last) = numpy_features(state), map(np.asarray, jax.tree.leaves(steps))
@@ -301,7 +301,7 @@ def test_rounding_does_not_decide_which_policy_of_a_cycle_is_returned():
             )
             before = eqx.tree_at(lambda s: (s.memory, s.posterior.mean), state, (memory, mean))
             key, kappa = jax.random.key(REFIT_SEED), jnp.asarray(reference.kappa)
-            return learner.refitter(key, before, kappa, jnp.asarray(True))
+            return learner.refitted(key, before, kappa, jnp.asarray(True))
 
         return jax.lax.map(one, means)
 
@@ -329,7 +329,7 @@ def test_refits_of_a_batch_are_those_of_single_runs():
     def refitted(given):
         mean, is_active = given
         before = eqx.tree_at(lambda state: state.posterior.mean, state, mean)
-        return learner.refitter(jax.random.key(REFIT_SEED), before, jnp.asarray(1.0), is_active)
+        return learner.refitted(jax.random.key(REFIT_SEED), before, jnp.asarray(1.0), is_active)
 
     alone = jax.jit(lambda given: jax.lax.map(refitted, given))((means, is_active))
     together = jax.jit(jax.vmap(refitted, axis_name=LANES))((means, is_active))
