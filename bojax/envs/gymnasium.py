@@ -26,14 +26,11 @@ with needed("gymnasium", "gym"):
     from gymnasium import spaces
     from gymnasium.error import NameNotFound
 
-    from bojax.envs.gymnasium_spaces import GymnasiumAdapter, as_action, from_gymnasium, to_gymnasium
+    from bojax.envs.gymnasium_spaces import REAL, GymnasiumAdapter, as_action, from_gymnasium, to_gymnasium
 
 
 _TRIAL_STEPS = 10
 """Largest number of steps, under random actions, that an environment takes before it is accepted."""
-
-_REAL = "biuf"
-"""Kinds of NumPy's dtypes of real numbers."""
 
 _SUCCESS_KEYS = ("is_success", "success")
 """Keys of `info` that tell success: of Gymnasium-Robotics and Stable-Baselines3, and of Meta-World."""
@@ -292,7 +289,7 @@ class Idling(gymnasium.Wrapper):
         observation, reward, terminated, truncated, info = result
         if (shape := np.shape(reward)) != ():
             raise self._misfit(f"step returns a reward of shape {shape}, not one number")
-        if np.asarray(reward).dtype.kind not in _REAL:
+        if np.asarray(reward).dtype.kind not in REAL:
             raise self._misfit(f"step returns a reward of type {type(reward).__name__}; allowed: a number")
         for name, flag in (("terminated", terminated), ("truncated", truncated)):
             if np.shape(flag) != () or np.asarray(flag).dtype.kind != "b":
@@ -308,7 +305,7 @@ class Idling(gymnasium.Wrapper):
         for key in self.success_keys:
             if key in info:
                 value = info[key]
-                if np.shape(value) != () or np.asarray(value).dtype.kind not in _REAL or value not in (0, 1):
+                if np.shape(value) != () or np.asarray(value).dtype.kind not in REAL or value not in (0, 1):
                     got = one_line(repr(value))
                     raise self._misfit(f'step returns info["{key}"] as {got}; allowed: True or False')
                 return {"success": bool(value)}

@@ -28,7 +28,7 @@ with needed("gymnasium", "gym"):
 _INFINITE = 1e30
 """Bounds from here on count as infinite, since some environments declare the largest 32-bit number."""
 
-_REAL = "biuf"
+REAL = "biuf"
 """Kinds of NumPy's dtypes of real numbers."""
 
 MAX_COMBINATIONS = 4096
@@ -239,7 +239,7 @@ def _checked(space: Any, value: Any, got: str) -> np.ndarray:
     except ValueError as error:  # nested lists of unequal lengths
         raise Misfit(f"{got} that is no array") from error
     is_finite = isinstance(space, _FINITE)
-    if found.dtype.kind not in ("iu" if is_finite else _REAL) and not (
+    if found.dtype.kind not in ("iu" if is_finite else REAL) and not (
         isinstance(space, spaces.MultiBinary) and found.dtype.kind == "b"
     ):
         raise Misfit(f"{got} of dtype {found.dtype}; allowed: {'integers' if is_finite else 'numbers'}")

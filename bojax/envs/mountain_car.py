@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import ControlStep, ControlTask
+from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
 from bojax.problems.pomdp.mountain_car import HIGH, LOW, roll
 
@@ -67,7 +67,3 @@ class MountainCar(ControlTask):
     @override
     def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
         return state[0] >= self.goal_position
-
-    @override
-    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        return -jnp.ones_like(step.state[0]), step.success

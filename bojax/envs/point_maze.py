@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import ControlStep, ControlTask
+from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
 
 # Walls as x_min, y_min, x_max, y_max. Every wall is 0.1 thick, the longest move along an axis, so that no
@@ -77,10 +77,6 @@ class PointMaze(ControlTask):
     def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
         offset = state - jnp.asarray(GOALS[self.layout], state.dtype)
         return jnp.sum(offset * offset) <= self.goal_radius**2
-
-    @override
-    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        return -jnp.ones_like(step.state[0]), step.success
 
     def _is_free(self, position: Float[Array, "2"]) -> Bool[Array, ""]:
         """Whether a position is in the square and in none of the walls."""

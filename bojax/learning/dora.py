@@ -137,7 +137,7 @@ class DORA(Learner):
         # are divided by the number of tilings, as the sum over the tiles changes by as many steps. E and Q of
         # a terminal state are 0.
         e, next_e = self._e(logit), self._e(next_sums[next_action, E])
-        rate, counted = self._e_rate, is_first(place)
+        rate, counted = self.e_learning_rate / self.num_tilings, is_first(place)  # alpha_E
         e_error = jnp.where(continues, self.e_discount * next_e, 0.0) - e
         e_step = rate * e_error * self._slope(e, continues)
         logit = logit + e_step * jnp.sum(counted, dtype=e_step.dtype)
@@ -176,17 +176,6 @@ class DORA(Learner):
         _, index = state.table.look_up(self._tiles(state, observation))
         q, logit = _sums(state.weights, index[nearest_action(state.actions, action)])
         return q, -self._log_negative_log_e(logit)
-
-    def counter(self, state: DORAState, observation: Observation, action: Action) -> Float[Array, ""]:
-        """The generalised visit counter log E / log(1 - alpha_E) of a state-action pair."""
-        _, index = state.table.look_up(self._tiles(state, observation))
-        logit = _sums(state.weights, index[nearest_action(state.actions, action)])[E]
-        return self._log_e(logit) / jnp.log1p(-self._e_rate)
-
-    @property
-    def _e_rate(self) -> Float[Array, ""]:
-        """alpha_E."""
-        return self.e_learning_rate / self.num_tilings
 
     def _tiles(self, state: DORAState, observation: Observation) -> Int[Array, "T C"]:
         x = jnp.atleast_1d(observation).astype(state.scale.dtype)

@@ -109,12 +109,14 @@ class BayesianNetwork(eqx.Module):
         constant = jnp.log(deviation) + 0.5 * math.log(2.0 * math.pi)
         return jnp.sum(0.5 * errors**2 + constant) / len(outputs)
 
-    def kl_to_prior(self, deviation: Float[Array, ""]) -> Float[Array, ""]:
-        """KL divergence from the prior N(0, deviation^2) of every weight."""
-        return sum(
-            (_kl(layer.mean, layer.deviation, deviation) for layer in self.layers),
-            start=jnp.zeros_like(deviation),
-        )
+    def kl_to_prior(self, prior: Float[Array, ""]) -> Float[Array, ""]:
+        """KL divergence from the prior N(0, prior^2) of every weight."""
+        total = jnp.zeros_like(prior)
+        for layer in self.layers:
+            deviation = layer.deviation
+            squares = (layer.mean**2 + deviation**2) / prior**2
+            total = total + jnp.sum(0.5 * (squares - 1.0) + jnp.log(prior) - jnp.log(deviation))
+        return total
 
     def loss(
         self,
@@ -171,8 +173,3 @@ class BayesianNetwork(eqx.Module):
             return BayesianLayer(variance, variance / (2.0 * jax.nn.sigmoid(layer.rho) ** 2))
 
         return BayesianNetwork(tuple(of(layer) for layer in self.layers))
-
-
-def _kl(mean: Float[Array, "R O"], deviation: Float[Array, "R O"], prior: Float[Array, ""]) -> Array:
-    """KL divergence of N(mean, deviation^2) from N(0, prior^2), summed over the weights."""
-    return jnp.sum(0.5 * ((mean**2 + deviation**2) / prior**2 - 1.0) + jnp.log(prior) - jnp.log(deviation))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from bojax.numerics import host_calls
 from bojax.numerics.cores import usable_cores
-from bojax.robots.models import MjModel, mujoco
+from bojax.robots.models import MjModel, mujoco, serialised
 
 _SPEC = sum(
     int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) for part in ("QPOS", "QVEL", "WARMSTART", "CTRL")
@@ -38,9 +38,7 @@ class CSteps:
         self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         self._unused = []
         # Programs that call the steps by the name of their content can be cached.
-        content = np.zeros(mujoco.mj_sizeModel(self.model), np.uint8)
-        mujoco.mj_saveModel(self.model, None, content)
-        digest = hashlib.sha256(content.tobytes() + str(substeps).encode()).hexdigest()
+        digest = hashlib.sha256(serialised(self.model) + str(substeps).encode()).hexdigest()
         self._name = f"bojax_c_mujoco_{digest[:32]}"
         self._has_name = host_calls.register(self._name, self._advance)
 

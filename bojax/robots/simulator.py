@@ -148,7 +148,7 @@ class Simulator(eqx.Module):
 
     def sites(self, state: RobotState) -> Float[Array, "N 3"]:
         """Positions of the model's sites, in metres."""
-        return self._sites(state)
+        return _locating(self.model)(state)
 
     def has_diverged(self, state: RobotState) -> Bool[Array, ""]:
         """Whether the state has a non-finite value, or a velocity above `max_speed`."""
@@ -165,10 +165,6 @@ class Simulator(eqx.Module):
     @property
     def _advance(self) -> Any:
         return _stepping(self._configured, self.impl, self.substeps)
-
-    @property
-    def _sites(self) -> Any:
-        return _locating(self.model)
 
     @property
     def _configured(self) -> ConfiguredModel:

@@ -136,7 +136,8 @@ def test_counters_on_a_table_are_visit_counts_if_nothing_is_discounted(e_discoun
     visits = np.zeros((6, 2))
     np.add.at(visits, (steps["observation"], steps["action"]), 1)
     pairs = np.meshgrid(np.arange(6, dtype=np.int32), np.arange(2, dtype=np.int32), indexing="ij")
-    counters = np.asarray(jax.jit(jax.vmap(jax.vmap(lambda s, a: learner.counter(after, s, a))))(*pairs))
+    _, u = jax.jit(jax.vmap(jax.vmap(lambda s, a: learner.values(after, s, a))))(*pairs)
+    counters = -np.exp(-np.asarray(u)) / np.log1p(-learner.e_learning_rate)  # log E over log(1 - alpha_E)
     if e_discount == 0.0:
         np.testing.assert_allclose(counters, visits, atol=1e-9)
     else:  # a pair counts less while what follows it is new
