@@ -1,4 +1,4 @@
-"""Transition tables of our environments as NumPy arrays, and ways to build parts from their settings."""
+"""Transition tables of our environments as NumPy arrays."""
 
 from collections import Counter
 
@@ -6,13 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-
-from bojax.engine.build import build
-
-
-def part(schema, dtype="float64"):
-    """The environment or learner that settings describe."""
-    return build(schema, dtype)
 
 
 def tables(env):

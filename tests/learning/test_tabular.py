@@ -13,7 +13,7 @@ from bojax.experiments.learning import LearningRun
 from bojax.experiments.settings import Learning
 from bojax.learning.base import ExplorationState, Transition
 from bojax.learning.settings import AdditiveRewards, EpsilonGreedy, ExplorationValues
-from tests.envs.tables import part, tables
+from tests.envs.tables import tables
 from tests.learning.probes import Loop, exploring
 from tests.reference.tabular import QLearning, value_iteration
 
@@ -77,7 +77,7 @@ def learn(learner, state, steps, is_learning=True):
     ),
 )
 def test_the_update_is_the_one_of_plain_numpy(settings):
-    learner, steps = part(settings), random_steps()
+    learner, steps = build(settings), random_steps()
     state = learn(learner, fresh(learner), steps)
     reward = getattr(settings, "exploration_reward", None)
     expected = QLearning(
@@ -105,7 +105,7 @@ def test_the_update_is_the_one_of_plain_numpy(settings):
 
 @pytest.mark.parametrize("schema", LEARNERS)
 def test_without_learning_nothing_changes(schema):
-    learner = part(schema())
+    learner = build(schema())
     learned = learn(learner, fresh(learner), random_steps())
     again = learn(learner, learned, random_steps(seed=1), is_learning=False)
     np.testing.assert_array_equal(again.columns, learned.columns)
@@ -113,7 +113,7 @@ def test_without_learning_nothing_changes(schema):
 
 @pytest.mark.parametrize("schema", LEARNERS)
 def test_a_test_acts_greedily(schema):
-    learner = part(schema())
+    learner = build(schema())
     state = learn(learner, fresh(learner), random_steps())
     best = jax.jit(
         jax.vmap(lambda key, s: learner.act(key, state, s, exploring(0.0, False)), in_axes=(0, None))
@@ -125,7 +125,7 @@ def test_a_test_acts_greedily(schema):
 
 
 def test_exploration_values_weigh_u_by_kappa_and_balance():
-    learner = part(ExplorationValues(kappa=2.0))
+    learner = build(ExplorationValues(kappa=2.0))
     state = eqx.tree_at(
         lambda t: t.columns,
         fresh(learner, 1, 2),
@@ -138,7 +138,7 @@ def test_exploration_values_weigh_u_by_kappa_and_balance():
 
 @pytest.mark.parametrize("ties", ["random", "first"])
 def test_epsilon_greedy_draws_any_action_with_probability_epsilon(ties):
-    learner = part(EpsilonGreedy(epsilon=0.4, ties=ties))
+    learner = build(EpsilonGreedy(epsilon=0.4, ties=ties))
     state = eqx.tree_at(lambda t: t.columns, fresh(learner, 1, 4), jnp.zeros((1, 4, 2)).at[0, 2, 0].set(1.0))
     keys = jax.random.split(jax.random.key(0), 10_000)
     draw = jax.jit(jax.vmap(lambda key: learner.act(key, state, jnp.int32(0), exploring(0.5))[0]))
@@ -171,7 +171,7 @@ def test_values_are_continued_past_a_time_limit_but_not_past_an_end(absorbs):
 
 
 def test_q_learning_converges_to_the_exact_values_of_a_stochastic_chain():
-    domain = part(Chain(length=5, max_length=5, max_steps=2000))
+    domain = build(Chain(length=5, max_length=5, max_steps=2000))
     probability, to = tables(domain)
     exact = value_iteration(probability, to.observation, to.reward, to.terminated, 0.9)
     settings = EpsilonGreedy(epsilon=1.0, discount=0.9, learning_rate=0.005)
@@ -184,11 +184,11 @@ def test_a_continuous_space_is_refused(which):
     box = Box(jnp.zeros(2), jnp.ones(2))
     spaces = {"observation_space": Discrete(2), "action_space": Discrete(2)} | {which: box}
     with pytest.raises(ValueError, match=f"{which}: a tabular learner needs a Discrete space, got a Box"):
-        part(EpsilonGreedy()).init(jax.random.key(0), **spaces, capacity=0)
+        build(EpsilonGreedy()).init(jax.random.key(0), **spaces, capacity=0)
 
 
 def test_observations_outside_the_table_are_no_error():
-    learner = part(ExplorationValues())
+    learner = build(ExplorationValues())
     state, outside = fresh(learner), NUM_STATES + 3
     steps = {name: values[:1] for name, values in random_steps().items()} | {
         "observation": np.asarray([outside])
