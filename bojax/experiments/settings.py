@@ -9,8 +9,7 @@ from typing_extensions import override
 from bojax.config.component import Component, External, Slot, registry
 from bojax.learning.settings import Constant, Exploit, UntilTarget
 from bojax.motions.settings import KernelTrajectories
-from bojax.planning.routes.settings import RouteSettings
-from bojax.planning.settings import KCBTS, BeliefPlannerSettings
+from bojax.planning.settings import KCBTS, BeliefPlannerSettings, RouteSettings
 from bojax.problems.pomdp.settings import StateProblemSettings
 from bojax.problems.settings import FieldProblem, Parking
 

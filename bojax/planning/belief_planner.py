@@ -3,7 +3,6 @@
 import abc
 import functools
 from contextlib import nullcontext
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,7 +15,7 @@ from bojax.numerics.lanes import TREES
 from bojax.numerics.trial import Misfit, computed, described, is_users, require, shapes, trial_of
 from bojax.planning.base import Plan, Planner
 from bojax.planning.belief_search import BeliefTreeSearch
-from bojax.planning.leaf_values import LeafValue, Policy
+from bojax.planning.leaf_values import LeafValue, ParticleSet, Policy
 from bojax.planning.oracles import policy_named
 from bojax.planning.root_parallel import recommended_by_all
 from bojax.planning.tree import Tree
@@ -113,13 +112,6 @@ class PolicyPlanner(BeliefPlanner):
         return Plan(action, None, jnp.full_like(problem.discount, jnp.nan), jnp.zeros((), jnp.int32))
 
 
-class States(NamedTuple):
-    """States of equal weight that a leaf value is estimated from, and which of them are not terminal."""
-
-    states: Float[Array, "M D"]
-    alive: Bool[Array, "M"]
-
-
 class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
     """A planner that searches a tree of beliefs about the state of a `StateProblem`."""
 
@@ -166,12 +158,12 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
 
     @abc.abstractmethod
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> ParticleSet:
         """States to estimate a leaf value from at `node`, where the horizon is reached."""
 
     @override
     def value_of(
-        self, key: Key[Array, ""], problem: StateProblem, leaf: States, remaining: Int[Array, ""]
+        self, key: Key[Array, ""], problem: StateProblem, leaf: ParticleSet, remaining: Int[Array, ""]
     ) -> Float[Array, ""]:
         return self.leaf_value(key, problem, leaf.states, leaf.alive, remaining)
 

@@ -21,7 +21,7 @@ from bojax.numerics.lanes import write_row
 from bojax.numerics.pallas import either
 from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning import cbts_kernel
-from bojax.planning.search import Proposal, TreeSearch
+from bojax.planning.search import PlanDraws, Proposal, TreeSearch
 from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import PathProblem
@@ -69,18 +69,9 @@ class NodeAction(eqx.Module):
     whitened: Float[Array, "*A C"]  # its row in the whitened covariances of the candidates
 
 
-class CBTSDraws(eqx.Module):
-    """Random numbers of a plan, by iteration."""
-
-    rollout: Int[Array, "... H"]  # indices of the candidates that the rollout follows
-    # Index of the candidate that a node with fewer than `num_initial` actions tries
-    initial: Int[Array, "..."]
-
-
-class NodeModelUpdate(eqx.Module):
+class NewAction(NodeAction):
     """A new action, and whether it was within `convergence` of the action before it."""
 
-    action: NodeAction
     has_converged: Bool[Array, ""]
 
 
@@ -94,9 +85,7 @@ def _places(max_actions: int | Float[Array, ""] | Bool[Array, "A"]) -> Bool[Arra
     return jnp.arange(max(most, ROOM)) < most
 
 
-class ContinuousBeliefTreeSearch(
-    TreeSearch[NodeModels, CBTSDraws, Int[Array, ""], NodeModelUpdate, ContinuousMotions]
-):
+class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
     """CBTS; with kernel trajectories, kCBTS.
 
     A node with fewer than `max_actions` actions adds the action that maximises the acquisition under the
@@ -152,7 +141,7 @@ class ContinuousBeliefTreeSearch(
         return either(True, by_kernel, lambda key, belief: by_xla(key, problem, belief), key, belief)
 
     @override
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, PlanDraws]:
         keys = jax.random.split(key, 3)
         candidates = shifted_kronecker(keys[0], self.num_candidates, self.motions.num_params, dtype)
         num_nodes = self.iterations + 1
@@ -168,14 +157,11 @@ class ContinuousBeliefTreeSearch(
         size = self.iterations * max(1, self.depth - 1)
         numbers = jax.vmap(lambda key: jax.random.randint(key, (size,), 0, self.num_candidates))(keys[1:])
         shape = (self.iterations, self.depth - 1)
-        draws = CBTSDraws(
-            rollout=numbers[0, : math.prod(shape)].reshape(shape), initial=numbers[1, : self.iterations]
+        # A node with fewer than `num_initial` actions tries the candidates of the second set.
+        draws = PlanDraws(
+            rollout=numbers[0, : math.prod(shape)].reshape(shape), untried=numbers[1, : self.iterations]
         )
         return memory, draws
-
-    @override
-    def rollout(self, memory: NodeModels, draws: CBTSDraws) -> Float[Array, "H S 3"]:
-        return memory.paths[draws.rollout]
 
     @override
     def view(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
@@ -187,13 +173,9 @@ class ContinuousBeliefTreeSearch(
         return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
 
     @override
-    def select(self, view: Int[Array, ""]) -> Int[Array, ""]:
-        return view
-
-    @override
     def propose(
-        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], view: Int[Array, ""], draws: CBTSDraws
-    ) -> Proposal[NodeModelUpdate]:
+        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], view: Int[Array, ""], draws: PlanDraws
+    ) -> Proposal:
         # Line 3 of Algorithm 3: the candidate of highest acquisition (4.2). The candidates are the same at
         # all nodes, so that their whitened covariances grow by a row an action: A C products, where whitening
         # them again would take A^2 C.
@@ -202,7 +184,7 @@ class ContinuousBeliefTreeSearch(
         # The first actions of a node are random: a single reward, standardised, carries no information.
         is_initial = model.count < self.num_initial
         choice = best_candidate(self.acquisition, model, best, memory.candidates, known.whitened)
-        choice = jnp.where(is_initial, draws.initial, choice)
+        choice = jnp.where(is_initial, draws.untried, choice)
         params, path, whitened = memory.candidates[choice], memory.paths[choice], known.whitened[:, choice]
         if self.refine_steps > 0:
             # A refined action is no candidate: its path and its covariances have to be computed.
@@ -214,31 +196,29 @@ class ContinuousBeliefTreeSearch(
         distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
         # Line 6 of Algorithm 3 without a refit: the rows that the new observation appends. They do not depend
         # on its reward, which the tree stores once it is simulated.
-        action = NodeAction(
+        action = NewAction(
             params=params,
             row=model.next_row(params, whitened),
             whitened=model.next_whitened(params, whitened, memory.candidates, known.whitened),
+            has_converged=(model.count > 0) & (distance < self.convergence),
         )
-        update = NodeModelUpdate(
-            action=action, has_converged=(model.count > 0) & (distance < self.convergence)
-        )
-        return Proposal(path=path, index=model.count, update=update)
+        return Proposal(path=path, index=model.count, update=action)
 
     @override
     def learn(
         self,
         memory: NodeModels,
         child: Int[Array, ""],
-        proposal: Proposal[NodeModelUpdate],
+        proposal: Proposal,
         is_new: Bool[Array, ""],
     ) -> NodeModels:
-        update, action = proposal.update, proposal.update.action
+        action: NewAction = proposal.update
         row = jnp.concatenate([action.params, action.row])
         return replace(
             memory,
             actions=write_row(memory.actions, child, row),
             whitened=write_row(memory.whitened, child, action.whitened),
-            has_converged=write_row(memory.has_converged, child, update.has_converged),
+            has_converged=write_row(memory.has_converged, child, action.has_converged),
         )
 
     def _model(

@@ -98,7 +98,7 @@ def search(
         covariances=jnp.pad(covariances, ((0, more), (0, more))),
         paths=jnp.moveaxis(paths, 2, 0),
         rollout=draws.rollout.astype(jnp.int32),
-        initial=draws.initial.astype(jnp.int32),
+        initial=draws.untried.astype(jnp.int32),
     )
 
     def rows_of(dtype: Any, *width: int) -> jax.ShapeDtypeStruct:

@@ -22,7 +22,7 @@ class DiscreteMemory(eqx.Module):
     action: Int[Array, "N"]  # action that leads to each node
 
 
-class DiscreteTreeSearch(TreeSearch[DiscreteMemory, PlanDraws, Int[Array, ""], None, DiscreteMotions]):
+class DiscreteTreeSearch(TreeSearch[DiscreteMotions]):
     """A node tries its untried actions first, in random order, then follows the upper confidence bound.
 
     Sets of actions of all sizes share a program: nodes have room for the largest.
@@ -47,7 +47,7 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, PlanDraws, Int[Array, ""], N
         rollout = jax.random.uniform(key_rollout, shape, dtype) * count.astype(dtype)
         draws = PlanDraws(
             rollout=jnp.minimum(rollout.astype(jnp.int32), count - 1),
-            order=jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
+            untried=jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
         )
         memory = DiscreteMemory(
             paths=self.motions.paths(), action=jnp.zeros((self.iterations + 1,), jnp.int32)
@@ -55,18 +55,10 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, PlanDraws, Int[Array, ""], N
         return memory, draws
 
     @override
-    def rollout(self, memory: DiscreteMemory, draws: PlanDraws) -> Float[Array, "H S 3"]:
-        return memory.paths[draws.rollout]
-
-    @override
     def view(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
         """The child to descend to."""
         is_open = tree.num_children(node) < self.motions.count
         return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
-
-    @override
-    def select(self, view: Int[Array, ""]) -> Int[Array, ""]:
-        return view
 
     @override
     def propose(
@@ -76,17 +68,17 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, PlanDraws, Int[Array, ""], N
         node: Int[Array, ""],
         view: Int[Array, ""],
         draws: PlanDraws,
-    ) -> Proposal[None]:
+    ) -> Proposal:
         # Lines 16-17 of Algorithm 2: any untried action, chosen by random priorities in [0, 1). Places past
         # the size of the set only make sets of all sizes one program.
         is_untried = tree.children[node] == UNVISITED
         is_untried &= jnp.arange(self.num_actions, dtype=jnp.int32) < self.motions.count
-        action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)
+        action = jnp.argmax(jnp.where(is_untried, draws.untried, -1.0)).astype(jnp.int32)
         return Proposal(path=memory.paths[action], index=action, update=None)
 
     @override
     def learn(
-        self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal[None], is_new: Bool[Array, ""]
+        self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
         return DiscreteMemory(memory.paths, write_row(memory.action, child, proposal.index))
 

@@ -59,41 +59,20 @@ class _Descent(eqx.Module):
     most_visits: Float[Array, ""]  # number of visits of `Walk.most_visited`
     fewest_visits: Float[Array, ""]  # smallest number of visits of a best point
 
-    @classmethod
-    def at(cls, node: Int[Array, ""], dtype: jnp.dtype) -> "_Descent":
-        """A descent that begins at the first stencil of a node."""
-        no_child = jnp.asarray(UNVISITED, jnp.int32)
-        return cls(
-            walk=Walk(
-                stencil=node,
-                point=jnp.asarray(CENTRE, jnp.int32),
-                has_unvisited=jnp.asarray(False),
-                may_refine=jnp.asarray(False),
-                best_ucb=no_child,
-                most_visited=no_child,
-            ),
-            is_walking=jnp.asarray(True),
-            best_bound=jnp.asarray(-jnp.inf, dtype),
-            most_visits=jnp.asarray(-1.0, dtype),
-            fewest_visits=jnp.asarray(jnp.inf, dtype),
-        )
-
 
 class StencilUpdate(eqx.Module):
     """Change of the stencils by a new action."""
 
+    # The descent: the action belongs to its last stencil, unless it refines the best point of that
+    walk: Walk
     params: Float[Array, "D"]  # parameters of the action
-    # Last stencil of the descent, to which the action belongs unless it refines a point
-    stencil: Int[Array, ""]
-    point: Int[Array, ""]  # index of the action in that stencil, or in the finer stencil
-    refined: Int[Array, ""]  # index of the point that is refined
-    is_refinement: Bool[Array, ""]  # whether a point is refined
+    point: Int[Array, ""]  # index of the action in the last stencil, or in the finer stencil
     centre: Float[Array, "D"]  # centre of the finer stencil
     radius: Float[Array, ""]  # radius of the finer stencil
     member: Int[Array, "P"]  # members of the finer stencil that have been simulated before
 
 
-class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, ContinuousMotions]):
+class PatternSearch(TreeSearch[ContinuousMotions]):
     """The pattern search of the public ABT toolkit, on the belief tree that all planners here share.
 
     At a node, unvisited points of a stencil are tried first, in random order. Otherwise the search descends
@@ -144,7 +123,7 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
         shape = (self.iterations, self.depth - 1)
         draws = PlanDraws(
             rollout=jax.random.randint(key_rollout, shape, 0, self.num_rollout_paths),
-            order=jax.random.uniform(key_order, (self.iterations, num_points), dtype),
+            untried=jax.random.uniform(key_order, (self.iterations, num_points), dtype),
         )
         return memory, draws
 
@@ -152,7 +131,7 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
     def rollout(self, memory: Stencils, draws: PlanDraws) -> Float[Array, "H S 3"]:
         if self.heuristic == "zero":
             return memory.paths[:0]
-        return memory.paths[draws.rollout]
+        return super().rollout(memory, draws)
 
     @override
     def view(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
@@ -165,7 +144,7 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
     @override
     def propose(
         self, tree: Tree, memory: Stencils, node: Int[Array, ""], view: Walk, draws: PlanDraws
-    ) -> Proposal[StencilUpdate]:
+    ) -> Proposal:
         # Either a point of the last stencil, or one of the finer stencil around its best point. Both are
         # computed and one is selected, since lanes differ.
         centre, radius, member = self._finer(memory, view.stencil, view.point)
@@ -175,16 +154,9 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
         points = _points(centre, radius)
         is_new = _is_inside(points) & (member == UNVISITED)
         # A random new point: priorities are in [0, 1), and -1 loses against all of them.
-        point = jnp.argmax(jnp.where(is_new, draws.order, -1.0)).astype(jnp.int32)
+        point = jnp.argmax(jnp.where(is_new, draws.untried, -1.0)).astype(jnp.int32)
         update = StencilUpdate(
-            params=points[point],
-            stencil=view.stencil,
-            point=point,
-            refined=view.point,
-            is_refinement=view.may_refine,
-            centre=centre,
-            radius=radius,
-            member=member,
+            walk=view, params=points[point], point=point, centre=centre, radius=radius, member=member
         )
         return Proposal(path=self.motions.path(points[point]), index=tree.num_children(node), update=update)
 
@@ -193,16 +165,16 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
         self,
         memory: Stencils,
         child: Int[Array, ""],
-        proposal: Proposal[StencilUpdate],
+        proposal: Proposal,
         is_new: Bool[Array, ""],
     ) -> Stencils:
         # Stencil N + child is written in every iteration, at an index that all lanes share, and is linked
         # from its parent only if it refines a point. Links that do not apply have an index past the end.
-        update = proposal.update
-        added = memory.params.shape[0] + child
+        update: StencilUpdate = proposal.update
+        walk, added = update.walk, memory.params.shape[0] + child
         nowhere = memory.radius.shape[0]
-        into_old = jnp.where(is_new & ~update.is_refinement, update.stencil, nowhere)
-        parent = jnp.where(is_new & update.is_refinement, update.stencil, nowhere)
+        into_old = jnp.where(is_new & ~walk.may_refine, walk.stencil, nowhere)
+        parent = jnp.where(is_new & walk.may_refine, walk.stencil, nowhere)
         return Stencils(
             paths=memory.paths,
             params=write_row(memory.params, child, update.params),
@@ -211,7 +183,7 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
             member=write_row(memory.member, added, update.member.at[update.point].set(child))
             .at[into_old, update.point]
             .set(child, mode="drop"),
-            finer=memory.finer.at[parent, update.refined].set(added, mode="drop"),
+            finer=memory.finer.at[parent, walk.point].set(added, mode="drop"),
         )
 
     @override
@@ -279,7 +251,16 @@ class PatternSearch(TreeSearch[Stencils, PlanDraws, Walk, StencilUpdate, Continu
                 fewest_visits=fewest_visits,
             )
 
-        return short_loop(self.max_levels, descend, _Descent.at(node, dtype)).walk
+        centre, no_child = jnp.asarray(CENTRE, jnp.int32), jnp.asarray(UNVISITED, jnp.int32)
+        no = jnp.asarray(False)
+        start = _Descent(
+            walk=Walk(node, centre, no, no, no_child, no_child),
+            is_walking=jnp.asarray(True),
+            best_bound=jnp.asarray(-jnp.inf, dtype),
+            most_visits=jnp.asarray(-1.0, dtype),
+            fewest_visits=jnp.asarray(jnp.inf, dtype),
+        )
+        return short_loop(self.max_levels, descend, start).walk
 
     def _finer(
         self, memory: Stencils, stencil: Int[Array, ""], point: Int[Array, ""]

@@ -22,6 +22,19 @@ Policy = Callable[[StateProblem, Key[Array, ""], Particles], Float[Array, "K"]]
 S = TypeVar("S")  # what a simulation goes on from: states, or a belief
 
 
+class ParticleSet(eqx.Module):
+    """A belief of a few states of equal weight."""
+
+    states: Float[Array, "M D"]
+    alive: Bool[Array, "M"]  # which of them are not terminal
+
+    def weighted(self) -> Particles:
+        """The same belief with weights, which are 0 for terminal states."""
+        num_alive = jnp.sum(self.alive, dtype=self.states.dtype)
+        log_weights = jnp.where(self.alive, -jnp.log(jnp.maximum(num_alive, 1.0)), -jnp.inf)
+        return Particles(self.states, log_weights, ~self.alive)
+
+
 class LeafValue(eqx.Module):
     """An estimate of the value of a belief: states of equal weight."""
 

@@ -27,19 +27,10 @@ def to_next_mean(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Flo
     return _towards_next(problem, belief.mean, jnp.zeros((), belief.states.dtype))
 
 
-def manage_uncertainty(
-    problem: VdpTag, key: Key[Array, ""], belief: Particles, threshold: Float[Array, ""] | float = 0.01
-) -> Float[Array, "2"]:
-    """Move towards the next position of the mean target; look if its covariance is large.
-
-    Args:
-        problem: The problem.
-        key: Not used.
-        belief: The belief.
-        threshold: Square root of the determinant of the target's covariance above which to look.
-    """
+def manage_uncertainty(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Float[Array, "2"]:
+    """Move towards the next position of the mean target; look if its covariance is large."""
     determinant = jnp.linalg.det(belief.covariance[2:, 2:])
-    look = jnp.sqrt(jnp.maximum(determinant, 0.0)) > threshold
+    look = jnp.sqrt(jnp.maximum(determinant, 0.0)) > 0.01
     return _towards_next(problem, belief.mean, look.astype(belief.states.dtype))
 
 
@@ -73,20 +64,11 @@ def localise_first(
     return jnp.where(is_known, qmdp(problem, key, belief), -direction * length)
 
 
-def aside_first(
-    problem: LightDark, key: Key[Array, ""], belief: Particles, threshold: Float[Array, ""] | float = 0.9
-) -> Float[Array, "1"]:
-    """Move by +10 until one state holds most of the belief; then QMDP.
-
-    Args:
-        problem: The problem.
-        key: Not used.
-        belief: The belief.
-        threshold: Probability of a state above which QMDP acts.
-    """
+def aside_first(problem: LightDark, key: Key[Array, ""], belief: Particles) -> Float[Array, "1"]:
+    """Move by +10 until one state has a probability above 0.9; then QMDP."""
     index = belief.states[:, 0].astype(jnp.int32) + problem.radius
     zeros = jnp.zeros(2 * problem.radius + 1, belief.log_weights.dtype)
-    is_known = jnp.max(zeros.at[index].add(jnp.exp(belief.log_weights))) > threshold
+    is_known = jnp.max(zeros.at[index].add(jnp.exp(belief.log_weights))) > 0.9
     return jnp.where(is_known, qmdp(problem, key, belief), 10.0)
 
 
@@ -104,16 +86,17 @@ def slow_down(problem: PomdpLander, key: Key[Array, ""], belief: Particles) -> F
     return jnp.clip(action, problem.action_low, problem.action_high)
 
 
-POLICIES = {
-    "to-next-ml": to_next_ml,
-    "to-next-mean": to_next_mean,
-    "manage-uncertainty": manage_uncertainty,
-    "qmdp": qmdp,
-    "localise-first": localise_first,
-    "aside-first": aside_first,
-    "ping-first": ping_first,
-    "slow-down": slow_down,
-}
+_POLICIES = (
+    to_next_ml,
+    to_next_mean,
+    manage_uncertainty,
+    qmdp,
+    localise_first,
+    aside_first,
+    ping_first,
+    slow_down,
+)
+POLICIES = {policy.__name__.replace("_", "-"): policy for policy in _POLICIES}
 """The policies by name."""
 
 

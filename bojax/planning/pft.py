@@ -8,9 +8,16 @@ from typing_extensions import override
 
 from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import matmul
-from bojax.planning.belief_planner import BeliefSearch, States
+from bojax.planning.belief_planner import BeliefSearch
 from bojax.planning.belief_search import Expansion
-from bojax.planning.leaf_values import LeafValue, Policy, draw_alive, prefix_sums, simulated_return
+from bojax.planning.leaf_values import (
+    LeafValue,
+    ParticleSet,
+    Policy,
+    draw_alive,
+    prefix_sums,
+    simulated_return,
+)
 from bojax.planning.oracles import policy_named
 from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.particles import Particles, systematic
@@ -18,19 +25,6 @@ from bojax.problems.state_space import StateProblem
 
 ENTROPY_FLOOR = 1e-6
 """Variance added to each component of a state where an entropy is taken."""
-
-
-class ParticleSet(eqx.Module):
-    """A belief of a few states of equal weight."""
-
-    states: Float[Array, "M D"]
-    alive: Bool[Array, "M"]  # which of them are not terminal
-
-    def weighted(self) -> Particles:
-        """The same belief with weights, which are 0 for terminal states."""
-        num_alive = jnp.sum(self.alive, dtype=self.states.dtype)
-        log_weights = jnp.where(self.alive, -jnp.log(jnp.maximum(num_alive, 1.0)), -jnp.inf)
-        return Particles(self.states, log_weights, ~self.alive)
 
 
 class BeliefStep(eqx.Module):
@@ -183,7 +177,7 @@ class PFT(BeliefSearch):
         action: Float[Array, "K"],
     ) -> Expansion:
         key_state, key_step = jax.random.split(key)
-        belief = jax.tree.map(lambda leaf: row(leaf, node), tree.beliefs)
+        belief = self.leaf_at(tree, state, node)
         # At the root, the state is drawn from the full belief, not from the few particles of the tree.
         drawn = belief.states[draw_alive(key_state, belief.alive)]
         state = jnp.where(node == ROOT, state, drawn)
@@ -191,11 +185,11 @@ class PFT(BeliefSearch):
         if self.information is not None:
             gained = entropy(belief.weighted().log_weights, belief.states) - later
             reward = reward + self.information * jnp.where(is_terminal, 0.0, gained)
-        return Expansion(after, reward, is_terminal, States(after.states, after.alive))
+        return Expansion(after, reward, is_terminal, after)
 
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
-        return States(row(tree.beliefs.states, node), row(tree.beliefs.alive, node))
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> ParticleSet:
+        return jax.tree.map(lambda leaf: row(leaf, node), tree.beliefs)
 
 
 class BeliefRollout(LeafValue):

@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.numerics.simulation_keys import random_index
-from bojax.planning.belief_planner import BeliefSearch, States
+from bojax.planning.belief_planner import BeliefSearch
 from bojax.planning.belief_search import Draw, Expansion
+from bojax.planning.leaf_values import ParticleSet
 from bojax.planning.tree import UNVISITED, Tree, row
 from bojax.problems.particles import Particles
 from bojax.problems.state_space import StateProblem
@@ -112,11 +113,11 @@ class POMCPOW(BeliefSearch):
             jnp.ones((), state.dtype) if problem.has_discrete_observations else None,
         )
         # A terminal state ends this simulation, not the branch: others may pass with a state that goes on.
-        return Expansion(belief, reward, ended, States(next_state[None], ~ended[None]))
+        return Expansion(belief, reward, ended, ParticleSet(next_state[None], ~ended[None]))
 
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> States:
-        return States(state[None], jnp.ones((1,), bool))
+    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> ParticleSet:
+        return ParticleSet(state[None], jnp.ones((1,), bool))
 
 
 def _draw(

@@ -2,12 +2,12 @@
 
 import abc
 from collections.abc import Sequence
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Num
 from typing_extensions import override
 
 from bojax.motions.base import Path
@@ -17,35 +17,30 @@ from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree, best_by_mean
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import PathProblem, Root
 
-Memory = TypeVar("Memory", bound=eqx.Module)
-"""What a planner stores for every node to choose actions there: node models, stencils."""
+Memory = Any
+"""What a planner stores for every node to choose actions there (node models, stencils), and `paths`."""
 
-Draws = TypeVar("Draws", bound=eqx.Module)
-"""Random numbers of all iterations, drawn before the first: arrays with a leading axis of iterations."""
-
-View = TypeVar("View")
+View = Any
 """What a planner computes at a node, both to descend and to propose an action there."""
 
-Update = TypeVar("Update", bound=eqx.Module | None)
-"""What a new action changes in the memory."""
 
-
-class Proposal(eqx.Module, Generic[Update]):
+class Proposal(eqx.Module):
     """A new action of a node."""
 
     path: Path  # path of the action
     index: Int[Array, ""]  # index of the action among the actions of the node
-    update: Update  # change of the memory once the action has been simulated
+    update: Any  # change of the memory once the action has been simulated
 
 
 class PlanDraws(eqx.Module):
-    """Random numbers of all iterations of a search whose nodes try new actions in random order."""
+    """Random numbers of all iterations, drawn before the first: arrays with a leading axis of iterations."""
 
-    rollout: Int[Array, "... H"]  # indices of the paths that the rollout follows
-    order: Float[Array, "... A"]  # priorities in which untried actions are chosen
+    rollout: Int[Array, "... H"]  # indices of the paths of the memory that the rollout follows
+    # What decides among untried actions: a priority of each, or the index of a candidate
+    untried: Num[Array, "..."]
 
 
-class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
+class TreeSearch(PathPlanner[M]):
     """The tree search that all tree planners share; a planner defines how a node chooses its actions.
 
     An iteration descends from the root as long as `select` returns a child. At the first node where it does
@@ -67,30 +62,30 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         """Largest number A of actions of a node."""
 
     @abc.abstractmethod
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[Memory, Draws]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[Memory, PlanDraws]:
         """The initial memory, and the random numbers of all iterations."""
 
-    @abc.abstractmethod
-    def rollout(self, memory: Memory, draws: Draws) -> Float[Array, "H S 3"]:
+    def rollout(self, memory: Memory, draws: PlanDraws) -> Float[Array, "H S 3"]:
         """Paths of the rollout after a new action, possibly none; `draws` are those of one iteration."""
+        return memory.paths[draws.rollout]
 
     @abc.abstractmethod
     def view(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> View:
         """What `select` and `propose` read at `node`: it depends on the node and its children only."""
 
-    @abc.abstractmethod
     def select(self, view: View) -> Int[Array, ""]:
-        """The child of the node to descend to, or `UNVISITED` to add a new action there."""
+        """The child of the node to descend to, or `UNVISITED` to add an action there; by default `view`."""
+        return view
 
     @abc.abstractmethod
     def propose(
-        self, tree: Tree, memory: Memory, node: Int[Array, ""], view: View, draws: Draws
-    ) -> Proposal[Update]:
+        self, tree: Tree, memory: Memory, node: Int[Array, ""], view: View, draws: PlanDraws
+    ) -> Proposal:
         """A new action of `node`, whose view is `view`."""
 
     @abc.abstractmethod
     def learn(
-        self, memory: Memory, child: Int[Array, ""], proposal: Proposal[Update], is_new: Bool[Array, ""]
+        self, memory: Memory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
     ) -> Memory:
         """The memory after the action that leads to `child` has been simulated.
 
@@ -170,7 +165,7 @@ class TreeSearch(PathPlanner[M], Generic[Memory, Draws, View, Update, M]):
         views: View,
         growth: Growth,
         child: Int[Array, ""],
-        draws: Draws,
+        draws: PlanDraws,
         key: Key[Array, ""],
     ) -> tuple[Tree, Memory, View, Growth]:
         """One iteration, which writes `growth`, of the previous one, and adds the node `child`."""

@@ -1,12 +1,14 @@
 """Settings of the planners."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+import pydantic
 from pydantic import Field
 
 from bojax.acquisition.settings import UpperConfidenceBound
-from bojax.config.component import Component, Slot
+from bojax.config.component import RECORDED, Component, Slot
 from bojax.config.limits import LEVELS
+from bojax.fields.data import read_waypoints, record_sha256
 from bojax.models.settings import RBF
 from bojax.motions.settings import (
     ContinuousMotions,
@@ -401,3 +403,30 @@ class PathDPW(_Widened, frozen=True):
     discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
     objective: _Objective = None
     num_rollout_paths: _NumRolloutPaths = 128
+
+
+class RouteSettings(PlannerSettings, frozen=True):
+    """A route, driven piece by piece on a field."""
+
+    length: float = Field(default=1.0, gt=0, description="length of the piece of a step, m")
+    num_samples: int = Field(default=10, ge=2, description="poses of a piece")
+
+
+class Route(RouteSettings, frozen=True):
+    """A route from a file, as `bojax survey` writes it, driven piece by piece on a field."""
+
+    target: ClassVar[str] = "bojax.planning.route:RouteFollower"
+    kind: Literal["route"] = "route"
+    file: str = Field(
+        min_length=1,
+        description="a .csv or .npy file of waypoints, relative to the working directory: columns x and y, m",
+    )
+    sha256: str | None = Field(default=None, description="SHA-256 of the file; null to compute it")
+
+    @pydantic.model_validator(mode="after")
+    def _readable(self, info: Any) -> "Route":
+        if info.context is RECORDED and self.sha256 is not None:
+            return self
+        read_waypoints(self.file)
+        record_sha256(self, self.file)
+        return self

@@ -31,8 +31,3 @@ class Widening(eqx.Module):
             abs(needed - whole) <= _ROUNDING * jnp.finfo(needed.dtype).eps * whole, whole, needed
         )
         return jnp.maximum(index, needed)
-
-
-def capacity(coefficient: float, exponent: float, visits: int) -> int:
-    """Largest number of children after `visits` visits."""
-    return int(min(visits, coefficient * max(visits - 1, 0) ** exponent + 1))

@@ -15,7 +15,7 @@ from bojax.areas.area import Area
 from bojax.areas.shapes import polygons_of, to_shape
 from bojax.areas.transfers import Transfers
 from bojax.motions.polylines import points_along
-from bojax.planning.routes.follower import RouteFollower
+from bojax.planning.route import RouteFollower
 from bojax.problems.budgets import distance_of
 from bojax.problems.field_belief import FieldBelief
 from bojax.problems.field_problem import FieldProblem

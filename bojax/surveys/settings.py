@@ -5,7 +5,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from bojax.planning.routes.settings import RouteSettings
+from bojax.planning.settings import RouteSettings
 
 
 class Lawnmower(RouteSettings, frozen=True):

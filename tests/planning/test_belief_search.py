@@ -11,7 +11,7 @@ from bojax.numerics.lanes import LANES
 from bojax.planning.leaf_values import Rollout, StateValue
 from bojax.planning.proposals import VoronoiProposal
 from bojax.planning.tree import ROOT
-from bojax.planning.widening import Widening, capacity
+from bojax.planning.widening import Widening
 from bojax.problems.particles import Particles
 from tests.planning import belief_searches
 from tests.planning.belief_searches import (
@@ -31,6 +31,11 @@ from tests.tiers import by_tier
 
 KEY = 5  # of a search
 BINARY = {"problem": BinaryDrift, "leaf_value": StateValue()}
+
+
+def capacity(k, alpha, visits):
+    """Largest number of children after these visits."""
+    return int(min(visits, k * max(visits - 1, 0) ** alpha + 1))
 
 
 def search(planner, problem, belief):

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.planning.leaf_values import StateValue
-from bojax.planning.pft import ENTROPY_FLOOR, BeliefStep, ParticleSet, entropy
+from bojax.planning.leaf_values import ParticleSet, StateValue
+from bojax.planning.pft import ENTROPY_FLOOR, BeliefStep, entropy
 from bojax.planning.tree import ROOT
 from tests.planning.belief_searches import belief_of, drift, number, planner, search
 

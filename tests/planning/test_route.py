@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bojax.motions.base import place
-from bojax.planning.routes.follower import RouteFollower
+from bojax.planning.route import RouteFollower
 from tests.planning.samples import f64, field_belief, monitoring, parking
 from tests.refusals import assert_refused
 

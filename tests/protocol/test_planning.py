@@ -5,8 +5,7 @@ import pytest
 from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.experiments.settings import Planning
-from bojax.planning.routes.settings import RouteSettings
-from bojax.planning.settings import BeliefPlannerSettings
+from bojax.planning.settings import BeliefPlannerSettings, RouteSettings
 from bojax.problems.pomdp.settings import StateProblemSettings
 from tests.parts import tiny
 from tests.protocol.lanes import each_kind, of_experiment

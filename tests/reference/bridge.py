@@ -108,7 +108,7 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
     match planner:
         case DiscreteTreeSearch():
             count = int(planner.motions.count)  # the further paths fill up the room of the largest set
-            paths, order = memory.paths[:count], draws.order[:, :count]
+            paths, order = memory.paths[:count], draws.untried[:, :count]
             return mcts.DiscreteTreeSearch(paths=paths, order=order, **settings)
         case ContinuousBeliefTreeSearch():
             return kcbts.ContinuousBeliefTreeSearch(
@@ -121,7 +121,7 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
                 candidates=memory.candidates,
                 paths=memory.paths,
                 num_initial=planner.num_initial,
-                initial=draws.initial,
+                initial=draws.untried,
                 **settings,
             )
         case PatternSearch():
@@ -131,7 +131,7 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
             return gps_abt.PatternSearch(
                 motions_path=lambda params: np.asarray(path(params)),
                 num_params=planner.motions.num_params,
-                order=draws.order,
+                order=draws.untried,
                 growth=float(planner.growth),
                 min_visits=float(planner.min_visits),
                 min_radius=float(planner.min_radius),

@@ -20,7 +20,7 @@ class RouteFollower(Planner):
     Step t leads along the route from t to t + 1 lengths. A pose within half the distance between two poses of
     a waypoint is at the waypoint. Beyond the end of the route, the robot stays there.
 
-    Settings: `bojax.planning.routes.settings.Route`.
+    Settings: `bojax.planning.settings.Route`.
     """
 
     waypoints: Float[Array, "W 2"]  # the route, m

@@ -1,1 +1,0 @@
-"""Planners that follow routes from files."""
