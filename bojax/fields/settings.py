@@ -16,8 +16,6 @@ from bojax.fields.raster_files import FORMATS, local_extent, read_local_points, 
 from bojax.models.settings import GREATEST
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
-Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
-"""`[x_min, y_min, x_max, y_max]`, m."""
 
 
 def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
@@ -25,6 +23,10 @@ def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
     if not (box[0] < box[2] and box[1] < box[3]):
         raise ValueError("allowed: [x_min, y_min, x_max, y_max] with x_min < x_max and y_min < y_max")
     return box
+
+
+Box = Annotated[tuple[float, float, float, float], Field(strict=False), pydantic.AfterValidator(proper_box)]
+"""`[x_min, y_min, x_max, y_max]`, m."""
 
 
 class FieldSettings(Component, frozen=True):
@@ -74,7 +76,7 @@ class Step(FieldSettings, frozen=True):
 class Blocks(FieldSettings, frozen=True):
     """Axis-parallel blocks with sharp edges on a floor of height 0 (thesis, Section 3.5.2)."""
 
-    target: ClassVar[str] = "bojax.fields.blocks:Blocks"
+    target: ClassVar[str] = "bojax.fields.closed_form:Blocks"
     kind: Literal["blocks"] = "blocks"
     boxes: tuple[Box, ...] = Field(
         default=((0.0, 0.0, 1.0, 1.0),),
@@ -85,11 +87,6 @@ class Blocks(FieldSettings, frozen=True):
     heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
         default=(1.0,), strict=False, min_length=1, description="heights, m; overlapping: the highest"
     )
-
-    @pydantic.field_validator("boxes")
-    @classmethod
-    def _proper_boxes(cls, boxes: Any) -> Any:
-        return tuple(map(proper_box, boxes))
 
     @pydantic.model_validator(mode="after")
     def _as_many_of_each(self) -> "Blocks":
@@ -117,12 +114,10 @@ class _Measured(FieldSettings, frozen=True):
 
     @pydantic.field_validator("extent")
     @classmethod
-    def _proper_extent(cls, extent: Any) -> Any:
-        if extent is None:
-            return None
-        if max(map(abs, extent)) > GREATEST:
+    def _limited_extent(cls, extent: Any) -> Any:
+        if extent is not None and max(map(abs, extent)) > GREATEST:
             raise ValueError(f"allowed: numbers up to {GREATEST:g} in magnitude")
-        return proper_box(extent)
+        return extent
 
     @pydantic.model_validator(mode="after")
     def _readable(self, info: pydantic.ValidationInfo) -> "_Measured":

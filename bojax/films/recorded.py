@@ -92,7 +92,7 @@ class Drive:
     point: Point
     run: int
     legs: tuple[Leg, ...]
-    # Maps of the belief about a field, as `FieldMonitoring.snapshot` records them; may be empty
+    # Maps of the belief about a field, as `FieldProblem.snapshot` records them; may be empty
     belief: Mapping[str, Floats]
     outcome: str  # how the run ended, in words; may be empty
 

@@ -1,7 +1,6 @@
-"""Learning a field from noisy samples along trajectories: all of the problem but its scores."""
+"""Field monitoring (Chapter 3 and Section 4.7.1): learn a field from noisy samples along trajectories."""
 
-import abc
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -25,6 +24,7 @@ from bojax.problems.budgets import check_steps, distance_of
 from bojax.problems.field_belief import FieldBelief, Samples
 from bojax.problems.field_errors import (
     DISTANCE,
+    FIELD_COLUMNS,
     REGION_COLUMNS,
     STEP_COLUMNS,
     STEP_ERRORS,
@@ -62,7 +62,7 @@ class FieldWorld(eqx.Module):
 
 
 class FieldProblem(PathProblem):
-    """Learn a field from noisy samples along trajectories; subclasses define the scores of the final belief.
+    """Learn a field from noisy samples along trajectories, judged by the errors of the final belief.
 
     The reward of a path is the sum of the rewards of its samples, under the belief before the path (3.2,
     4.11), plus the cost of collisions and of leaving the domain. The planner knows the walls, the border and
@@ -74,7 +74,11 @@ class FieldProblem(PathProblem):
     suffices to reach this point, drives the shortest way there, and the episode ends there. The same rules
     hold in the world and in the simulations of every planner. Plans, beliefs and simulations need no true
     field; without one, the problem has no world to execute a path in, and no scores.
+
+    Settings: `bojax.problems.settings.Monitoring`, `Diagonal`, `TwoPits` and `SpaceModelling`.
     """
+
+    scores: ClassVar[Table] = FIELD_COLUMNS
 
     field: Field | None
     domain: Float[Array, "4"]
@@ -167,10 +171,10 @@ class FieldProblem(PathProblem):
             return None
         return self.arena.outline(self.start)
 
-    @abc.abstractmethod
     @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """Scores of the final belief: `field_score`, and others that a subclass adds."""
+        return self.field_score(world, belief)
 
     @property
     def true_field(self) -> Field:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Scalar
 from typing_extensions import override
 
-from bojax.fields.blocks import Blocks
+from bojax.fields.closed_form import Blocks
 from bojax.models.checks import check_takes
 from bojax.models.kernels import Kernel
 from bojax.problems.field_belief import FieldBelief

@@ -13,7 +13,7 @@ from bojax.areas.settings import OutlinedArea
 from bojax.config.component import RECORDED, Component, Slot
 from bojax.config.limits import CELLS, square
 from bojax.fields.raster_files import frame_of
-from bojax.fields.settings import Blocks, Box, Bumps, Grid, Pair, Scattered, Step, proper_box
+from bojax.fields.settings import Blocks, Box, Bumps, Grid, Pair, Scattered, Step
 from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
 from bojax.problems.budgets import check_one_budget, check_reach, distance_of
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
@@ -110,6 +110,9 @@ class ProblemSettings(Component, frozen=True):
     plural: ClassVar[str] = "problems"
     protocol: ClassVar[str] = "bojax.problems.base:Problem"
 
+    ends_at_success: ClassVar[bool] = True
+    """Whether a run is over once it has succeeded."""
+
     @property
     def outline(self) -> Outline:
         """The world seen from above, as figures draw it."""
@@ -118,11 +121,6 @@ class ProblemSettings(Component, frozen=True):
     @property
     def has_success(self) -> bool:
         """Whether a run can succeed."""
-        return True
-
-    @property
-    def ends_at_success(self) -> bool:
-        """Whether a run is over once it has succeeded."""
         return True
 
     @property
@@ -236,7 +234,8 @@ class RobotParking(ParkingSettings, frozen=True):
 class FieldProblem(ProblemSettings, frozen=True):
     """A problem of learning a field."""
 
-    target: ClassVar[str] = "bojax.problems.monitoring:FieldMonitoring"
+    target: ClassVar[str] = "bojax.problems.field_problem:FieldProblem"
+    ends_at_success: ClassVar[bool] = False
 
     field: Annotated[Component | None, Slot("field", optional=True)] = Field(
         default=Bumps(centres=((3.0, 3.0),)),
@@ -307,11 +306,6 @@ class FieldProblem(ProblemSettings, frozen=True):
     )
     weighting: _Weighting = "value"
 
-    @pydantic.field_validator("domain", "target_area")
-    @classmethod
-    def _proper_box(cls, box: Any) -> Any:
-        return box if box is None else proper_box(box)
-
     @pydantic.field_validator("region", mode="wrap")
     @classmethod
     def _box_or_file(cls, region: Any, handler: Any, info: Any) -> Any:
@@ -321,22 +315,7 @@ class FieldProblem(ProblemSettings, frozen=True):
         if isinstance(region, str | Mapping):
             settings = {"file": region} if isinstance(region, str) else region
             return OutlinedArea.model_validate(settings, context=info.context)
-        return proper_box(_BOX.validate_python(region))
-
-    @pydantic.field_validator("walls")
-    @classmethod
-    def _proper_walls(cls, walls: Any) -> Any:
-        return walls if walls is None else tuple(map(proper_box, walls))
-
-    @pydantic.model_validator(mode="after")
-    def _has_what_settings_need(self) -> "FieldProblem":
-        if self.region is not None and not self.errors_by_step:
-            raise ValueError("region: needs errors_by_step: true")
-        if self.relearn_every > 0 and self.noise_variance == 0.0:
-            raise ValueError(
-                "noise_variance: got 0; allowed: > 0 where relearn_every is: it is the median of a prior"
-            )
-        return self
+        return _BOX.validate_python(region)
 
     @pydantic.model_validator(mode="after")
     def _placed_area(self, info: Any) -> "FieldProblem":
@@ -373,7 +352,13 @@ class FieldProblem(ProblemSettings, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _in_free_space(self, info: Any) -> "FieldProblem":
+    def _fitting(self, info: Any) -> "FieldProblem":
+        if self.region is not None and not self.errors_by_step:
+            raise ValueError("region: needs errors_by_step: true")
+        if self.relearn_every > 0 and self.noise_variance == 0.0:
+            raise ValueError(
+                "noise_variance: got 0; allowed: > 0 where relearn_every is: it is the median of a prior"
+            )
         if self.target_area is not None:
             low_x, low_y, high_x, high_y = self.target_area
             is_beside = low_x > self.domain[2] or high_x < self.domain[0]
@@ -386,10 +371,6 @@ class FieldProblem(ProblemSettings, frozen=True):
         if isinstance(self.area, OutlinedArea) and info.context is not RECORDED:
             known = {name: point[:2] for name, point in ends.items() if point is not None}
             self.area.check_inside(known)
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _enough_budget(self) -> "FieldProblem":
         check_one_budget(self.budget, self.time_budget, self.speed, self.end is not None)
         budget = self.distance_budget
         has_starts = self.start is not None or self.area is None  # else, the problem knows how far they are
@@ -429,11 +410,6 @@ class FieldProblem(ProblemSettings, frozen=True):
     @override
     def has_success(self) -> bool:
         return self.target_area is not None or self.end is not None
-
-    @property
-    @override
-    def ends_at_success(self) -> bool:
-        return False
 
     @property
     def maps_heights(self) -> bool:

@@ -5,7 +5,7 @@ import pydantic
 import pytest
 
 from bojax.fields import settings as fields
-from bojax.fields.blocks import Blocks
+from bojax.fields.closed_form import Blocks
 from tests.arrays import f64
 
 BOXES, HEIGHTS = [[0.0, 0.0, 1.0, 2.0], [0.5, 1.0, 3.0, 1.5]], [0.3, 0.7]

@@ -21,7 +21,7 @@ from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
 from bojax.planning.myopic import MyopicPlanner
-from bojax.problems.monitoring import FieldMonitoring
+from bojax.problems.field_problem import FieldProblem
 from bojax.problems.objectives import GradientObjective, UncertaintyObjective, ValueObjective
 from bojax.problems.parking import Parking
 from tests.arrays import f64
@@ -83,7 +83,7 @@ def monitoring(
         "weighting": "value",
         "relearn_every": 0,
     }
-    return FieldMonitoring(
+    return FieldProblem(
         field=field,
         domain=f64(domain),
         walls=None if walls is None else f64(walls),

@@ -17,7 +17,7 @@ from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
 from bojax.problems import objectives
 from bojax.problems.field_belief import FieldBelief
-from bojax.problems.monitoring import FieldMonitoring
+from bojax.problems.field_problem import FieldProblem
 from tests.reference import acquisition, gps_abt, kcbts, mcts, monitoring, parking
 from tests.reference import gaussian_process as gp
 
@@ -36,7 +36,7 @@ OBJECTIVES = {
 
 def reference_problem(problem, planner=None):
     """The reference of `problem`, as `planner` sees it."""
-    if isinstance(problem, FieldMonitoring):
+    if isinstance(problem, FieldProblem):
         objective = getattr(planner, "objective", None) or problem.objective
         return monitoring.Monitoring(
             objective=reference_objective(objective),
@@ -69,7 +69,7 @@ def drawn(planner, problem, key):
     """What `problem.simulate` draws in each iteration of `planner.search(key, ...)`, by action."""
     num_actions = 1 if getattr(planner, "heuristic", "rollout") == "zero" else planner.depth
     shape = (num_actions, planner.motions.num_samples)
-    if not isinstance(problem, FieldMonitoring):
+    if not isinstance(problem, FieldProblem):
         return [[None] * num_actions] * planner.iterations
     if problem.imagined == "mean":
         return np.zeros((planner.iterations, *shape))

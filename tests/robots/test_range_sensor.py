@@ -5,8 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from bojax.fields.blocks import Blocks
-from bojax.fields.closed_form import Bumps
+from bojax.fields.closed_form import Blocks, Bumps
 from bojax.films.robot_worlds import quadrotor_world
 from bojax.results.outline import Outline
 from bojax.robots.range_sensor import cone, ranges

@@ -17,14 +17,11 @@ class StateProblemSettings(ProblemSettings, frozen=True):
 
     num_particles: int = Field(default=10_000, ge=1, description="particles of the belief between plans")
 
-    @property
-    @override
-    def has_success(self) -> bool:
-        return False
+    ends_at_success: ClassVar[bool] = False
 
     @property
     @override
-    def ends_at_success(self) -> bool:
+    def has_success(self) -> bool:
         return False
 
 
@@ -274,6 +271,7 @@ class UncertainPose(StateProblemSettings, frozen=True):
     """Parking, or another problem of a robot's pose, with a belief of particles about the pose."""
 
     target: ClassVar[str] = "bojax.problems.pomdp.uncertain_pose:UncertainPose"
+    ends_at_success: ClassVar[bool] = True
     kind: Literal["uncertain-pose"] = "uncertain-pose"
     problem: Annotated[Component, Slot("problem", only=ParkingSettings)] = Field(
         default=Parking(), description="problem of the robot's pose, with its noise; the vehicle is exact"
@@ -292,11 +290,6 @@ class UncertainPose(StateProblemSettings, frozen=True):
     @property
     @override
     def has_success(self) -> bool:
-        return True
-
-    @property
-    @override
-    def ends_at_success(self) -> bool:
         return True
 
     @property
