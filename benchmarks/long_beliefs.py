@@ -17,9 +17,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from bojax.surveys.beliefs import belief_from
 from bojax.surveys.lawnmower import lawnmower
 from bojax.surveys.league.fields import LENGTHSCALE, NOISE_VARIANCE, SQUARE, VARIANCE
+from bojax.surveys.measurements import belief_from
 from bojax.surveys.polylines import length_of, points_along
 
 SPACING, NUMBERS, NEIGHBOURS, INDUCING = 0.2, (1000, 4000), (16, 64, 128), (256, 1024)

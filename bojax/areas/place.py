@@ -119,12 +119,7 @@ class Place:
     def _read_shape(self, file: str) -> BaseGeometry:
         """The polygons in a file, or the cells with data of a raster, in the frame of the place."""
         with in_file(file):
-            if Path(file).suffix.lower() in polygons.SUFFIXES:
-                read = polygons.read_polygons(file)
-                shape, crs = read.shape, read.crs
-            else:
-                raster = read_raster(file, MOST_CELLS)
-                shape, crs = _around(raster.x, raster.y, ~raster.is_hole), raster.crs
+            shape, crs, _ = _read(file)
             return shapely.transform(shape, lambda points: self.projection.from_other(points, crs))
 
 
@@ -145,20 +140,11 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         shapes = {".shp", ".gpkg"}  # formats that GIS programs write by default
         hint = f" (ogr2ogr area.geojson {area} converts it)" if suffix in shapes else ""
         raise ValueError(f"area: got {area}; allowed: {allowed}{hint}")
-    notes: list[str] = []
-    raster = None
     with in_file(area):
-        if suffix in polygons.SUFFIXES:
-            if below is not None:
-                raise ValueError("has no values; allowed with --below: a raster")
-            read = polygons.read_polygons(area)
-            shape, crs = read.shape, read.crs
-        else:
-            raster = read_raster(area, MOST_CELLS)
-            shape, crs = _surveyed(raster, below), raster.crs
-            notes += (f"{area}: {note}" for note in raster.notes)
-            if raster.step > 1:
-                notes.append(f"{area}: only every {raster.step}th row and column is used.")
+        shape, crs, raster = _read(area, below)
+        notes = [] if raster is None else [f"{area}: {note}" for note in raster.notes]
+        if raster is not None and raster.step > 1:
+            notes.append(f"{area}: only every {raster.step}th row and column is used.")
         x_min, y_min, x_max, y_max = shape.bounds
         projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max), area)
         local = shapely.transform(shape, lambda points: projection.from_other(points, crs))
@@ -206,14 +192,20 @@ def _metres(text: str, unit: str, name: str) -> float:
     return value
 
 
-def _surveyed(raster: Raster, below: float | None) -> BaseGeometry:
+def _read(file: str, below: float | None = None) -> tuple[BaseGeometry, str | None, Raster | None]:
+    """The polygons in a file, or the cells with data of a raster, their system, and that raster."""
+    if Path(file).suffix.lower() in polygons.SUFFIXES:
+        if below is not None:
+            raise ValueError("has no values; allowed with --below: a raster")
+        return *polygons.read_polygons(file), None
+    raster = read_raster(file, MOST_CELLS)
     inside = ~raster.is_hole
     if below is not None:
         inside &= np.nan_to_num(raster.values, nan=np.inf) < below
         if not inside.any():
             low, high = np.nanmin(raster.values), np.nanmax(raster.values)
             raise ValueError(f"no cell is below {below:g}: the values are from {low:g} to {high:g}")
-    return _around(raster.x, raster.y, inside)
+    return _around(raster.x, raster.y, inside), raster.crs, raster
 
 
 def area_of_cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> Area:

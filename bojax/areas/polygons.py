@@ -1,7 +1,6 @@
 """Readers of polygons: GeoJSON and KML."""
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -18,19 +17,12 @@ SUFFIXES = (".geojson", ".json", ".kml")
 """Endings of the names of files that hold polygons."""
 
 
-@dataclass(frozen=True, eq=False)
-class Polygons:
-    """Polygons of a file."""
+def read_polygons(file: str) -> tuple[BaseGeometry, str | None]:
+    """All polygons in a GeoJSON or KML file, and their coordinate reference system; None for metres.
 
-    shape: BaseGeometry  # all of them, in the coordinates of the file
-    crs: str | None  # their coordinate reference system; None for metres without a place on the Earth
-
-
-def read_polygons(file: str) -> Polygons:
-    """All polygons in a GeoJSON or KML file; other geometries are left out.
-
-    Coordinates are longitudes and latitudes, as both formats demand. GeoJSON may name another system in the
-    member `crs` of the older standard; `"crs": null` means metres without a place on the Earth.
+    Other geometries are left out. Coordinates are longitudes and latitudes, as both formats demand. GeoJSON
+    may name another system in the member `crs` of the older standard; `"crs": null` means metres without a
+    place on the Earth.
     """
     path = Path(file)
     try:
@@ -46,7 +38,7 @@ def read_polygons(file: str) -> Polygons:
         raise ValueError(f"{file}: {reason}") from error
     if not found:
         raise ValueError(f"{file}: holds no polygon")
-    return Polygons(_united(found, file), crs)
+    return _united(found, file), crs
 
 
 def _united(found: list[list[Any]], file: str) -> BaseGeometry:

@@ -1,7 +1,6 @@
 """The shortest ways in an area from everywhere to one point, as a table of the next corner of each."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -13,20 +12,6 @@ from bojax.areas.transfers import Transfers
 
 CELLS = 128
 """Cells along the longer side of the table."""
-
-
-@dataclass(frozen=True, eq=False)
-class ShortestWays:
-    """Shortest ways to a point, as of `bojax.problems.ways_to_end.WaysToEnd`."""
-
-    corners: np.ndarray  # corners at which ways bend, and last the point `[C, 2]`, m
-    # Indices `[C, L]` of the corners on the way from each, itself first; the point is repeated
-    chains: np.ndarray
-    rest: np.ndarray  # distance `[C]` from each corner to the point, m
-    # Index `[H, W]` of the first corner for positions around each grid point; the first axis is y
-    first: np.ndarray
-    origin: np.ndarray  # position of `first[0, 0]`, m
-    spacing: float  # distance between two grid points, m
 
 
 class _Tree(NamedTuple):
@@ -43,8 +28,8 @@ class _Tree(NamedTuple):
         return _Tree(self.corners[is_kept], following, self.rest[is_kept]), renumbered
 
 
-def shortest_ways(shape: BaseGeometry, end: np.ndarray) -> ShortestWays:
-    """The shortest ways in a polygon to a point `[2]` in it."""
+def shortest_ways(shape: BaseGeometry, end: np.ndarray) -> dict[str, Any]:
+    """The shortest ways in a polygon to a point `[2]` in it: fields of `WaysToEnd` but for its `slack`."""
     transfers = Transfers(shape)
     x_min, y_min, x_max, y_max = shape.bounds
     spacing = max(x_max - x_min, y_max - y_min) / CELLS
@@ -68,8 +53,9 @@ def shortest_ways(shape: BaseGeometry, end: np.ndarray) -> ShortestWays:
     chains = [np.arange(len(tree.rest))]
     while np.any(chains[-1][first] != len(tree.rest) - 1):
         chains.append(tree.following[chains[-1]])
-    origin = np.array([x_min, y_min])
-    return ShortestWays(tree.corners, np.stack(chains, axis=1), tree.rest, first, origin, spacing)
+    table = {"chains": np.stack(chains, axis=1), "first": first}
+    place = {"origin": np.array([x_min, y_min]), "spacing": spacing}
+    return {"corners": tree.corners, "rest": tree.rest, **table, **place}
 
 
 def _by_sight(transfers: Transfers, end: np.ndarray) -> _Tree:

@@ -65,11 +65,11 @@ class Projection:
 
     def to_local(self, points: "np.ndarray") -> "np.ndarray":
         """Coordinates `[*, 2]` in metres."""
-        return (points - _row(self.origin)) * _row(self.scale)
+        return (points - self.origin) * self.scale
 
     def from_local(self, points: "np.ndarray") -> "np.ndarray":
         """Points `[*, 2]` of the frame in coordinates of the system."""
-        return points / _row(self.scale) + _row(self.origin)
+        return points / self.scale + self.origin
 
     def to_degrees(self, points: "np.ndarray") -> "np.ndarray":
         """Longitudes and latitudes `[N, 2]` of points of the frame; longitudes are from -180 to 180.
@@ -103,12 +103,6 @@ class Projection:
             differs = f"has {has} place on the Earth, and {self.file} has {other}"
             raise ValueError(f"{differs}; allowed: both or neither")
         return self.to_local(np.stack(_transformer(crs, self.crs).transform(*points.T), axis=1))
-
-
-def _row(pair: tuple[float, float]) -> "np.ndarray":
-    import numpy as np
-
-    return np.array(pair)
 
 
 def _pyproj():

@@ -41,10 +41,8 @@ class Arena(eqx.Module):
         # Rejection sampling with a fixed number of tries, as shapes are static; without a free one, the first
         # try.
         low_x, low_y, high_x, high_y = self.domain
-        low, high = (
-            jnp.stack([low_x, low_y, jnp.zeros_like(low_x)]),
-            jnp.stack([high_x, high_y, 2.0 * jnp.pi]),
-        )
+        low = jnp.stack([low_x, low_y, jnp.zeros_like(low_x)])
+        high = jnp.stack([high_x, high_y, 2.0 * jnp.pi])
         poses = jax.random.uniform(key, (START_TRIES, 3), low.dtype, low, high)
         return poses[jnp.argmax(self.is_free(poses[:, :2]))]
 

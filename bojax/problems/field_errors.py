@@ -1,5 +1,6 @@
 """Error measures of a learned field on a grid: RMSE, weighted RMSE (3.7) and negative log likelihood."""
 
+from dataclasses import replace
 from typing import Literal
 
 import jax
@@ -36,15 +37,12 @@ STEP_ERRORS = ("rmse", "mnll", "mean_std")
 
 DISTANCE = Column("distance", "float64", "m", "distance driven so far, along the poses of the paths")
 STEP_COLUMNS: Table = tuple(
-    Column(
-        each.name, each.dtype, each.unit, each.doc.replace("the final belief", "the belief after the step")
-    )
+    replace(each, doc=each.doc.replace("the final belief", "the belief after the step"))
     for each in ERROR_COLUMNS
     if each.name in STEP_ERRORS
 )
 REGION_COLUMNS: Table = tuple(
-    Column(f"{each.name}_region", each.dtype, each.unit, f"{each.doc}, in `problem.region`")
-    for each in STEP_COLUMNS
+    replace(each, name=f"{each.name}_region", doc=f"{each.doc}, in `problem.region`") for each in STEP_COLUMNS
 )
 
 

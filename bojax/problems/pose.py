@@ -83,7 +83,7 @@ class PoseProblem(PathProblem):
     @override
     def prior(self, key: Key[Array, ""], world: VehicleState, num_samples: int) -> Pose:
         """The first measurement."""
-        return self.vehicle.measure(key, world, self._noise)
+        return self.vehicle.measure(key, world, self.reading_noise)
 
     @override
     def execute(
@@ -95,7 +95,9 @@ class PoseProblem(PathProblem):
         all recorded data end with.
         """
         planned = place(action, self.vehicle.estimate(world))
-        tracked = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
+        tracked = self.vehicle.follow(
+            jax.random.fold_in(key, 0), world, planned, planned[-1], self.reading_noise
+        )
         # A vehicle may pass the last pose of the path before it rests.
         poses = tracked.poses.at[-1].set(self.pose(tracked.state))
         outcome = self.outcome(self.pose(world), poses)
@@ -111,7 +113,7 @@ class PoseProblem(PathProblem):
             frames=tracked.frames,
             failed=tracked.failed,
         )
-        return state, self.vehicle.measure(key, state, self._noise), events
+        return state, self.vehicle.measure(key, state, self.reading_noise), events
 
     @override
     def update(
@@ -153,7 +155,8 @@ class PoseProblem(PathProblem):
         return self.vehicle.reach
 
     @property
-    def _noise(self) -> Float[Array, "3"]:
+    def reading_noise(self) -> Float[Array, "3"]:
+        """Standard deviations of a measurement of the pose, m and rad."""
         return jnp.stack([self.position_noise, self.position_noise, self.heading_noise])
 
 

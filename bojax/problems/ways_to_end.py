@@ -95,6 +95,8 @@ def ways_around(
     Raises:
         ValueError: The end point is not in the area, or the values are traced.
     """
+    if walls is None and area is None:
+        return WaysToEnd.straight(end)
     import shapely  # not at the start of every run
 
     from bojax.areas.shapes import polygons_of, to_shape
@@ -112,14 +114,10 @@ def ways_around(
     if not parts:
         raise ValueError(f"end: ({target[0]:g}, {target[1]:g}) is not in the area, or lies in a hole of it")
     ways = shortest_ways(parts[0], target)
+    ways["slack"] = 0.1 * ways["spacing"]
+    is_index = {"chains", "first"}
     return WaysToEnd(
-        corners=jnp.asarray(ways.corners, end.dtype),
-        chains=jnp.asarray(ways.chains, jnp.int32),
-        rest=jnp.asarray(ways.rest, end.dtype),
-        first=jnp.asarray(ways.first, jnp.int32),
-        origin=jnp.asarray(ways.origin, end.dtype),
-        spacing=jnp.asarray(ways.spacing, end.dtype),
-        slack=jnp.asarray(0.1 * ways.spacing, end.dtype),
+        **{name: jnp.asarray(x, jnp.int32 if name in is_index else end.dtype) for name, x in ways.items()}
     )
 
 

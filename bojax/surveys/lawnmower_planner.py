@@ -72,13 +72,7 @@ class Lawnmower(RouteFollower):
         approach = None
         if problem.start is None:
             walls = _grown(problem.walls, clearance)
-            has_obstacles = walls is not None or problem.area is not None
-            first = waypoints[0]
-            approach = (
-                ways_around(first, problem.domain, walls, problem.area)
-                if has_obstacles
-                else WaysToEnd.straight(first)
-            )
+            approach = ways_around(waypoints[0], problem.domain, walls, problem.area)
         return eqx.tree_at(
             lambda planner: (planner.waypoints, planner.approach),
             self,

@@ -190,27 +190,15 @@ class Mission:
         """Lengthscale (m), variance and noise variance, both of standardised values."""
         return self.measured.hyperparameters
 
-    @hyperparameters.setter
-    def hyperparameters(self, values: tuple[float, float, float]) -> None:
-        self.measured.hyperparameters = values
-
     @property
     def position(self) -> Waypoints:
         """Where the robot is, m; of several, the first."""
         return self.robots[0].position
 
-    @position.setter
-    def position(self, at: Waypoints) -> None:
-        self.robots[0].position = at
-
     @property
     def remaining(self) -> float:
         """Distance left, m; of several robots, the first one's."""
         return self.robots[0].remaining
-
-    @remaining.setter
-    def remaining(self, distance: float) -> None:
-        self.robots[0].remaining = distance
 
     @property
     def route(self) -> Route | None:

@@ -16,7 +16,7 @@ from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern52, Scaled
 from bojax.models.means import ConstantMean
-from bojax.surveys.beliefs import predict
+from bojax.surveys.measurements import predict
 
 MOST_POINTS = 200
 """Points of an earlier survey that the model is learned from."""

@@ -5,14 +5,19 @@ import numpy as np
 Waypoints = np.ndarray  # [W, 2], m
 
 
+def legs_of(route: Waypoints) -> np.ndarray:
+    """Lengths `[W - 1]` of the pieces of a polyline, m."""
+    return np.linalg.norm(np.diff(route, axis=0), axis=1)
+
+
 def length_of(route: Waypoints) -> float:
     """Length of a polyline, m."""
-    return float(np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
+    return float(np.sum(legs_of(route)))
 
 
 def driven_at(route: Waypoints) -> np.ndarray:
     """Distance from the start at each waypoint `[W]`, m."""
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(route, axis=0), axis=1)))
+    return np.append(0.0, np.cumsum(legs_of(route)))
 
 
 def points_along(route: Waypoints, distances: np.ndarray) -> Waypoints:
@@ -29,7 +34,7 @@ def with_waypoints(route: Waypoints, number: int, evenly: bool = False) -> Waypo
     """
     if evenly or len(route) > number:
         return points_along(route, np.linspace(0.0, length_of(route), number))
-    lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
+    lengths = legs_of(route)
     parts = np.ones(len(lengths), int)
     for _ in range(number - len(route)):
         parts[np.argmax(lengths / parts)] += 1

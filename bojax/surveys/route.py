@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 
 from bojax.areas.area import Area
 from bojax.areas.distance_grid import DistanceGrid
@@ -25,6 +25,8 @@ ROUNDING = 1e-9  # share of a length that may be exceeded by rounding
 NUM_SAMPLES = 100  # of a route while it is descended; each stands for several measurements, or a part of one
 NUM_GRID, NUM_SCORED = 400, 1200  # points at which the error counts in the descent, and in the final choice
 DIRECTIONS = 4  # of parallel lines
+
+_beliefs, _error = eqx.filter_jit(Models.of), eqx.filter_jit(Models.mean_error)
 
 
 @dataclass(frozen=True)
@@ -297,18 +299,6 @@ def _best(
     chosen = names[order[0]]
     scores = {names[index]: errors[index] for index in order}
     return [Route(each, length_of(each), scores[chosen], chosen, scores) for each in candidates[chosen]]
-
-
-@eqx.filter_jit
-def _error(
-    models: Models, routes: Float[Array, "K W 2"], step: Array, number: int, samples_per_point: Array
-) -> Array:
-    return models.mean_error(routes, step, number, samples_per_point)
-
-
-@eqx.filter_jit
-def _beliefs(posterior: GaussianProcess, grid: Array, weights: Array, maps: Array) -> Models:
-    return Models.of(posterior, grid, weights, maps)
 
 
 def _models(posterior: GaussianProcess, grid: Array, maps: Array, weight: Any) -> Models:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
 from bojax.areas.area import Area
@@ -48,6 +47,8 @@ UNTOLD = 1e6
 
 REACH = 0.1
 """Standard deviation of the move of a stop in the first round, as a share of the area's size."""
+
+_moments = eqx.filter_jit(GaussianProcess.predict_covariance)
 
 
 class Search:
@@ -220,11 +221,3 @@ class Search:
         explained = np.sum(across * np.linalg.solve(joint, across), axis=1)
         variance = self._covariance.diagonal()[::THINNING]
         return self._goal.loss(self._mean[::THINNING], variance, explained)
-
-
-@eqx.filter_jit
-def _moments(
-    posterior: GaussianProcess, points: Float[Array, "M 2"]
-) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
-    """Mean and covariance at points."""
-    return posterior.predict_covariance(points)

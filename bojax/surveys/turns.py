@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bojax.surveys.polylines import Waypoints
+from bojax.surveys.polylines import Waypoints, legs_of
 
 PIECE = math.radians(15.0)
 """Largest turn at one waypoint of a route that is written; a larger one is divided."""
@@ -25,7 +25,7 @@ def least_radius(route: Waypoints) -> float:
     """The radius of the tightest turn of a route, m: the largest with which it can be driven."""
     if len(route) < 3:
         return math.inf
-    half, lengths = _half_tangents(route), _lengths(route)
+    half, lengths = _half_tangents(route), legs_of(route)
     needed = half[:-1] + half[1:]
     return float(np.min(lengths[needed > 0.0] / needed[needed > 0.0], initial=math.inf))
 
@@ -56,7 +56,7 @@ def turned(route: Waypoints, radius: float) -> Turned | None:
         raise ValueError(f"turning radius: got {radius:g}; allowed: >= 0 m")
     if radius == 0.0:
         return Turned(route, 0.0)
-    route = route[np.append(True, _lengths(route) > 0.0)]
+    route = route[np.append(True, legs_of(route) > 0.0)]
     number = len(route)
     most = int(MOST_REMOVED * number)
     while (lacking := _lacking(route, radius)).max(initial=0.0) > ROUNDING * radius:
@@ -91,20 +91,16 @@ def _rounded(route: Waypoints, radius: float) -> Waypoints:
 def _lacking(route: Waypoints, radius: float) -> np.ndarray:
     """The length `[W - 1]` that each leg lacks for the arcs at its ends, m; negative if it is long enough."""
     half = _half_tangents(route)
-    return radius * (half[:-1] + half[1:]) - _lengths(route)
+    return radius * (half[:-1] + half[1:]) - legs_of(route)
 
 
 def _half_tangents(route: Waypoints) -> np.ndarray:
     """Tangent `[W]` of half of the angle by which a route turns at each waypoint; 0 at its ends."""
     before, after = np.diff(route, axis=0)[:-1], np.diff(route, axis=0)[1:]
     across = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
-    lengths = _lengths(route)
+    lengths = legs_of(route)
     # From the cosine, rounding would make a turn on the spot a straight line.
     angle = np.arctan2(across, np.sum(before * after, axis=1))
     is_leg = lengths[:-1] * lengths[1:] > 0.0
     half = np.where(is_leg, np.minimum(np.tan(angle / 2.0), LARGEST), LARGEST)
     return np.concatenate([[0.0], half, [0.0]])
-
-
-def _lengths(route: Waypoints) -> np.ndarray:
-    return np.linalg.norm(np.diff(route, axis=0), axis=1)

@@ -1,5 +1,7 @@
 """Shortest ways to one point, from a table, beside those of the visibility graph from every position."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +38,7 @@ def channel():
 
 def table(shape, end):
     found = shortest_ways(shape, end)
-    return WaysToEnd(**jax.tree.map(jnp.asarray, vars(found)), slack=jnp.asarray(0.0))
+    return WaysToEnd(**jax.tree.map(jnp.asarray, found), slack=jnp.asarray(0.0))
 
 
 @pytest.mark.parametrize(
@@ -63,7 +65,7 @@ def test_ways_around_many_corners_stay_in_the_shape(monkeypatch):
     shape = channel()
     transfers, end = Transfers(shape), np.asarray(shape.representative_point().coords[0])
     assert not transfers.has_few_corners
-    found = shortest_ways(shape, end)
+    found = SimpleNamespace(**shortest_ways(shape, end))
     rows, columns = np.nonzero(np.ones(found.first.shape, bool))
     points = found.origin + found.spacing * np.stack([columns, rows], axis=1)
     first = found.first[rows, columns][is_inside := shapely.intersects_xy(shape, *points.T)]

@@ -201,7 +201,7 @@ def test_a_used_budget_ends_the_mission():
 def test_the_way_to_an_end_behind_a_wall_is_the_plan_of_a_short_budget(goal, budget):
     area = SQUARE.without([(np.array([[2.5, -1.0], [3.5, -1.0], [3.5, 5.0], [2.5, 5.0]]),)])
     survey = mission(area=area, end=[5.0, 1.0], goal=goal)
-    survey.remaining = budget + 1e-3
+    survey.robots[0].remaining = budget + 1e-3
     survey.observe([[1.0, 1.001]], [1.0])
     waypoints = survey.plan()
     route = np.concatenate([survey.position[None], waypoints])
@@ -316,7 +316,7 @@ def test_a_mission_that_has_left_the_area_and_used_its_budget_is_loaded(tmp_path
     file = tmp_path / "mission.npz"
     survey = mission(end=[5.0, 5.0])
     survey.observe([], [], [-1.0, 3.0])
-    survey.remaining = 0.5
+    survey.robots[0].remaining = 0.5
     survey.save(file)
     other = Mission.load(file)
     assert other.remaining == 0.5
@@ -401,7 +401,7 @@ def test_a_belief_from_many_measurements_is_close_to_the_exact_one_and_plans_are
     found, exact = survey.predict(queries, 200), survey.predict(queries, 900)
     np.testing.assert_allclose(found[0], exact[0], atol=0.1)
     np.testing.assert_allclose(found[1], exact[1], atol=0.03)
-    survey.remaining = 12.0
+    survey.robots[0].remaining = 12.0
     assert len(survey.posterior().y) == 256
     way = np.concatenate([survey.position[None], survey.plan()])
     # The lower half has been measured: the route is in the upper one.

@@ -74,21 +74,23 @@ class UncertainPose(StateProblem):
     def observe(
         self, key: Key[Array, ""], state: Pose, action: Float[Array, "K"], next_state: Pose
     ) -> Float[Array, "3"]:
-        return next_state + self._noise * jax.random.normal(key, (3,), next_state.dtype)
+        return next_state + self.problem.reading_noise * jax.random.normal(key, (3,), next_state.dtype)
 
     @override
     def log_likelihood(
         self, observation: Float[Array, "3"], state: Pose, action: Float[Array, "K"], next_state: Pose
     ) -> Float[Array, ""]:
-        return jnp.sum(norm.logpdf(observation, next_state, jnp.maximum(self._noise, LEAST_NOISE)))
+        return jnp.sum(
+            norm.logpdf(observation, next_state, jnp.maximum(self.problem.reading_noise, LEAST_NOISE))
+        )
 
     @override
     def prior(self, key: Key[Array, ""], world: Pose, num_samples: int) -> Particles:
         """Poses about a first measurement, without those at which an episode would have ended."""
         key_measure, key_spread, key_resample = jax.random.split(key, 3)
-        measured = world + self._noise * jax.random.normal(key_measure, (3,), world.dtype)
+        measured = world + self.problem.reading_noise * jax.random.normal(key_measure, (3,), world.dtype)
         spread = jax.random.normal(key_spread, (self.num_particles, 3), world.dtype)
-        poses = measured[None] + self._noise[None] * spread
+        poses = measured[None] + self.problem.reading_noise[None] * spread
         ended = jax.vmap(self._at_rest)(poses).terminated
         weights = jnp.where(ended & ~jnp.all(ended), -jnp.inf, 0.0).astype(world.dtype)
         indices = particles.systematic(key_resample, weights)
@@ -119,11 +121,6 @@ class UncertainPose(StateProblem):
     def _at_rest(self, pose: Pose) -> Outcome:
         """The outcome of standing at a pose."""
         return self.problem.outcome(pose, jnp.stack([pose, pose]))
-
-    @property
-    def _noise(self) -> Float[Array, "3"]:
-        problem = self.problem
-        return jnp.stack([problem.position_noise, problem.position_noise, problem.heading_noise])
 
 
 _SUCCESS = Column("success", "bool", "", "the task is solved at the last pose")

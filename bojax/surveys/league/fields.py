@@ -73,7 +73,7 @@ def league() -> list[Field]:
             _real("pacific", surface[:, 228:240]),
             _real("new-guinea", surface[:, 168:180]),
         ]
-    course = SQUARE.without([(_box(*wall),) for wall in WALLS])
+    course = SQUARE.without(Area.rectangle(*wall).outline for wall in WALLS)
     return [
         *fields,
         _standardised("sampled", SQUARE, _drawn(1, lambda points: points)),
@@ -121,10 +121,6 @@ def _interpolated(values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     rows, columns = (np.linspace(0.0, SIDE, size) for size in values.shape)
     interpolate = RegularGridInterpolator((rows, columns), values)
     return lambda points: interpolate(np.clip(points[:, ::-1], 0.0, SIDE))
-
-
-def _box(x_min: float, y_min: float, x_max: float, y_max: float) -> np.ndarray:
-    return np.array([[x_min, y_min], [x_max, y_min], [x_max, y_max], [x_min, y_max]])
 
 
 def _shipped(file: str, name: str) -> np.ndarray:

@@ -111,7 +111,7 @@ def adaptive_route(
     part = surveyed(field.area)
     start = start_of(part, index)
     mission = Mission(part, length, start, spacing=SPACING, goal=goal)
-    mission.hyperparameters = LENGTHSCALE, VARIANCE, NOISE_VARIANCE
+    mission.measured.hyperparameters = LENGTHSCALE, VARIANCE, NOISE_VARIANCE
     noise, route = noises(length, index), start[None]
     while (driven := length_of(route)) < length - 0.5 * SPACING:
         ahead = changed(mission, np.concatenate([route[-1:], mission.plan()]))
