@@ -36,16 +36,11 @@ def quadrotor():
     return build(VEHICLE)
 
 
-@pytest.fixture(scope="module")
-def follow():
+@eqx.filter_jit
+def follow(vehicle, keys, bodies, paths, ends, noise):
     """One compiled program for all tests: a vehicle, its bodies, paths, headings at the end, and a noise."""
-
-    @eqx.filter_jit
-    def follow(vehicle, keys, bodies, paths, ends, noise):
-        one = lambda key, body, path, end: vehicle.follow(key, body, path, end, noise)  # noqa: E731
-        return jax.vmap(one)(keys, bodies, paths, ends)
-
-    return follow
+    one = lambda key, body, path, end: vehicle.follow(key, body, path, end, noise)  # noqa: E731
+    return jax.vmap(one)(keys, bodies, paths, ends)
 
 
 @eqx.filter_jit
@@ -85,7 +80,7 @@ def apart(one, other):
 
 
 @pytest.fixture(scope="module")
-def ride(quadrotor, follow):
+def ride(quadrotor):
     """Paths flown with noise, and a turn by pi after them."""
     starts = starts_of()
     paths, ends = paths_from(starts, turn=np.pi)
@@ -149,7 +144,7 @@ def test_mounts_are_where_the_sensor_is(ride):
     assert 0.01 < lean.max() < 0.2
 
 
-def test_a_robot_that_diverges_fails_alone(quadrotor, follow, ride):
+def test_a_robot_that_diverges_fails_alone(quadrotor, ride):
     starts, paths, ends, before = ride
     bodies = placed(quadrotor, starts)
     broken = eqx.tree_at(

@@ -27,6 +27,7 @@ ROBOT = build(SETTINGS)
 MODEL = mujoco.MjModel.from_xml_string(packaged("car").xml)
 MOTIONS = build(KernelTrajectories(first_angle=0.785, turn_angle=1.257))
 reset, estimate, pose_of = (jax.jit(jax.vmap(of)) for of in (ROBOT.reset, ROBOT.estimate, ROBOT.pose))
+follow = jax.jit(jax.vmap(lambda *lane: ROBOT.follow(*lane)), compiler_options=REPEATABLY)
 NUM_READINGS = SETTINGS.readings + SETTINGS.rest_readings
 NUM_LANES, QUIET = 16, 8
 """Lanes from `QUIET` on have noise in their readings."""
@@ -37,13 +38,7 @@ def wrapped(angle):
 
 
 @pytest.fixture(scope="module")
-def follow():
-    """One compiled program: lanes of `follow`, each with its noise."""
-    return jax.jit(jax.vmap(lambda *lane: ROBOT.follow(*lane)), compiler_options=REPEATABLY)
-
-
-@pytest.fixture(scope="module")
-def drives(follow):
+def drives():
     """Two paths, one after the other, from rest at random poses; of each what `follow` took, and the ride."""
     rng = np.random.default_rng(0)
     starts = jnp.asarray(rng.uniform([-1.5, -1.5, 0.0], [1.5, 1.5, 2 * pi], (NUM_LANES, 3)))
@@ -124,7 +119,7 @@ def test_a_ride_begins_where_the_one_before_ended(drives):
     np.testing.assert_allclose(second.frames[:, -1], second.state.robot.qpos, atol=1e-12)
 
 
-def test_it_is_at_rest_after_every_path(follow, drives):
+def test_it_is_at_rest_after_every_path(drives):
     (key, body, path, _, noise), _ = drives[0]
     # At twice the length, no path is completed.
     longer = path.at[..., :2].add(path[..., :2] - pose_of(body)[:, None, :2])
@@ -185,7 +180,7 @@ def test_the_turning_radius_is_that_of_the_steady_circle(side):
     assert speed == pytest.approx(SETTINGS.speed, rel=0.05)
 
 
-def test_a_lane_that_diverges_fails_alone(follow, drives):
+def test_a_lane_that_diverges_fails_alone(drives):
     (key, body, path, end, noise), before = drives[0]
     wrong = eqx.tree_at(lambda b: b.robot.qvel, body, body.robot.qvel.at[2, 0].set(jnp.nan))
     ride = follow(jax.random.clone(key), wrong, path, end, noise)

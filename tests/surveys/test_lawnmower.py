@@ -52,10 +52,13 @@ def test_a_lawnmower_stays_inside_and_covers_the_area(name: str, angle: float) -
     assert 0.95 * lines < length_of(route) < 1.1 * lines + to_shape(area).length
 
 
-def test_lines_of_a_square_are_as_many_as_needed() -> None:
+def test_lines_of_a_square_are_as_many_as_needed_and_may_be_inset_by_half_a_spacing() -> None:
     route = lawnmower(SQUARE, 2.0).route
     assert length_of(route) == pytest.approx(5 * 10.0 + 4 * 2.0)
     assert len(route) == 10
+    route = lawnmower(SQUARE, 1.0, inset=True).route
+    np.testing.assert_allclose([route.min(0), route.max(0)], [[0.5, 0.5], [9.5, 9.5]])
+    assert length_of(route) == pytest.approx(10 * 9.0 + 9.0)
 
 
 @pytest.mark.parametrize("name", ["hole", "u-shape"])
@@ -164,9 +167,3 @@ def test_inset_lines_stay_inside_and_are_shorter(name: str) -> None:
     assert is_inside(area, route)
     assert length_of(route) < length_of(lawnmower(area, spacing).route)
     assert np.mean(apart(area, route) <= spacing / 2 + 1e-6) > 0.96
-
-
-def test_inset_lines_of_a_square_are_half_a_spacing_from_its_border() -> None:
-    route = lawnmower(SQUARE, 1.0, inset=True).route
-    np.testing.assert_allclose([route.min(0), route.max(0)], [[0.5, 0.5], [9.5, 9.5]])
-    assert length_of(route) == pytest.approx(10 * 9.0 + 9.0)

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from bojax.surveys.mission import Mission
 from bojax.surveys.polylines import length_of, points_along
 from bojax.surveys.route import stays_inside
 from bojax.surveys.team import keep_separation, least_distance
 from tests.compiling import COMPILATION, events_of_jax
-from tests.surveys.test_mission import SQUARE, assert_same_plan, drive, mission
+from tests.surveys.test_mission import SQUARE, assert_same_plan, drive, mission, resumed
 
 SEPARATION = 0.6
 CORNERS = [[0.5, 0.5], [5.5, 0.5]]
@@ -20,10 +19,9 @@ def team(**changes):
 
 def ways(survey):
     """The next plan of each robot, from its position."""
-    return [
-        np.concatenate([robot.position[None], waypoints])
-        for robot, waypoints in zip(survey.robots, survey.plan(), strict=True)
-    ]
+    plans = survey.plan() if len(survey.robots) > 1 else [survey.plan()]
+    pairs = zip(survey.robots, plans, strict=True)
+    return [np.concatenate([robot.position[None], waypoints]) for robot, waypoints in pairs]
 
 
 @pytest.mark.parametrize("goal", ["map", "hotspots"])
@@ -58,9 +56,8 @@ def test_two_robots_map_better_than_one_with_the_same_budget():
 
     def deviation(robots):
         survey = mission(robots=robots, start=[3.0, 0.5], lengthscale=1.0)
-        plans = survey.plan() if robots > 1 else [survey.plan()]
-        for index, waypoints in enumerate(plans):
-            drive(survey, waypoints, 12.0, index)
+        for index, way in enumerate(ways(survey)):
+            drive(survey, way[1:], 12.0, index)
         return survey.predict(points)[1].mean()
 
     assert deviation(2) < 0.9 * deviation(1)
@@ -74,11 +71,12 @@ def test_a_mission_of_one_robot_is_that_without_the_argument():
     np.testing.assert_allclose(usual.plan(), counted.plan(), rtol=1e-12)
 
 
-def test_a_second_plan_of_a_team_compiles_nothing():
-    survey = team()
+@pytest.mark.parametrize("make", [mission, team])
+def test_a_second_plan_compiles_nothing(make):
+    survey = make()
     for _ in range(2):
-        for index, waypoints in enumerate(survey.plan()):
-            drive(survey, waypoints, 2.0 + index, index)
+        for index, way in enumerate(ways(survey)):
+            drive(survey, way[1:], 2.0 + index, index)
     with events_of_jax() as events:
         survey.plan()
     assert COMPILATION not in events
@@ -108,19 +106,17 @@ def test_a_robot_keeps_away_from_one_that_returns(goal):
 
 
 def test_a_team_that_is_saved_between_two_steps_goes_on(tmp_path):
-    file = tmp_path / "mission.npz"
     survey = team(end=[3.0, 3.0])
     for index, waypoints in enumerate(survey.plan()):
         drive(survey, waypoints, 3.0 + index, index)
     survey.observe([], [], times=[], robot=1)
-    survey.save(file)
-    resumed = Mission.load(file)
-    assert resumed.separation == SEPARATION
-    for ours, theirs in zip(survey.robots, resumed.robots, strict=True):
+    other = resumed(survey, tmp_path)
+    assert other.separation == SEPARATION
+    for ours, theirs in zip(survey.robots, other.robots, strict=True):
         assert ours.remaining == theirs.remaining
         np.testing.assert_array_equal(ours.position, theirs.position)
         np.testing.assert_array_equal(ours.end, theirs.end)
-    assert_same_plan(resumed, survey)
+    assert_same_plan(other, survey)
 
 
 def test_measurements_belong_to_their_robot():
