@@ -3,19 +3,22 @@
 import shlex
 import sys
 import time
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bojax.config.errors import printable
+from bojax.config.changed import changed_from_published
+from bojax.config.errors import ConfigError, printable
 from bojax.config.saved_sweep import saved
-from bojax.engine.chunks import Chunk
+from bojax.engine.chunks import Chunk, digest
+from bojax.engine.devices import setting
 from bojax.engine.groups import StaticGroup
 from bojax.engine.learners import merge_learners
-from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of
 from bojax.engine.plan import Plan, plain
 from bojax.engine.progress import GroupProgress
+from bojax.engine.provenance import git_revision, versions
 from bojax.engine.signals import StopRequest
 from bojax.engine.storage import FolderStorage
 from bojax.engine.targets import Target
@@ -23,8 +26,9 @@ from bojax.errors import FAILURE
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.chunk_folder import ChunkFolder, ChunkState
 from bojax.results.folder import RunFolder
-from bojax.results.merge import RUNS, ChunkInfo, Merged, PointInfo, committed_files, merge
+from bojax.results.merge import RUNS, Merged, committed_files, merge
 from bojax.results.store import MANIFEST, write_json
+from bojax.text import error_line
 
 WARNINGS = {
     "nans": "NaN",
@@ -82,7 +86,7 @@ class SweepRun:
             self.folder.create(self.plan.content, may_rename=self._target.may_rename)
         self.folder.describe(self.plan.device)
         self.attempts = AttemptRegistry(self.folder.work, self.path)
-        self._files = committed_files(self.attempts, {chunk.index: chunk.name for chunk in self.plan.chunks})
+        self._files = committed_files(self.attempts, [chunk.name for chunk in self.plan.chunks])
         for chunk in self.plan.chunks:
             if chunk.name in self.attempts.done and not self._state(chunk).is_done:
                 self.attempts.forget(chunk.name, "done")
@@ -127,13 +131,12 @@ class SweepRun:
 
     def _merge(self) -> Merged:
         """Write the tables and the manifest, and close the folder."""
-        start, sweep = time.monotonic(), self.plan.sweep
+        start, points = time.monotonic(), self.plan.content["points"]
         names = [RUNS, *(name for module in self.plan.modules for name in module.tables)]
-        points = [PointInfo(p.index, p.label, p.variant, p.swept) for p in sweep.points]
-        chunks = [ChunkInfo(c.name, c.index, c.group, c.point) for c in self.plan.chunks]
-        merged = merge(self.path, chunks, names, points, sweep.seed)
+        chunks = {chunk.name: (chunk.group, chunk.point) for chunk in self.plan.chunks}
+        merged = merge(self.path, chunks, names, points, self.plan.sweep.seed)
         done = [files for files in merged.files.values() if files.state.is_done]
-        merge_learners(self.path, done, [point["config"] for point in self.plan.content["points"]])
+        merge_learners(self.path, done, [point["config"] for point in points])
         self.merged, self._files = merged, merged.files
         self.note_seconds("merging", time.monotonic() - start)
         self.write_manifest("failed" if merged.errors else "finished")
@@ -141,21 +144,41 @@ class SweepRun:
         return merged
 
     def write_manifest(self, status: str) -> None:
-        """Write `manifest.json`."""
-        plan, merged = self.plan, self.merged
-        states = [(chunk, self._state(chunk)) for chunk in plan.chunks]
-        errors = merged.errors if merged else {}
-        nans: dict[str, int] = {}
+        """Write `manifest.json`: the sweep, the command that started it, and the software that ran it."""
+        plan, sweep, merged = self.plan, self.plan.sweep, self.merged
+        points = zip(plan.content["points"], self._outlines, strict=True)
+        configs = [point["config"] for point in plan.content["points"]]
+        nans = Counter[str]()
         for (point, _), count in sorted(merged.nans.items()) if merged else ():
-            nans[str(point)] = nans.get(str(point), 0) + count
-        compiled = self.folder.compile_seconds()
-        facts = [self._facts(group, compiled.get(str(group.index), 0.0)) for group in plan.groups]
+            nans[str(point)] += count
         manifest = {
-            **describe_sweep(plan.sweep, plan.content, self._outlines, self._command, status),
+            "name": sweep.name,
+            "title": sweep.title,
+            "status": status,
+            "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "command": self._command,
+            "runs": sweep.runs,
+            "seed": sweep.seed,
+            "config": plan.content["config"],
+            "config_hash": digest({key: plan.content[key] for key in ("runs", "seed", "record", "points")}),
+            "points": [{"index": index, **point, **outline} for index, (point, outline) in enumerate(points)],
+            "report": plain(sweep.report),
+            "claims": plain(sweep.claims),
+            "changed": plain(changed_from_published(sweep)),
+            "is_published": sweep.is_published,
+            "engine": plain(sweep.engine),
+            "versions": versions(),
+            "git": git_revision(),
+            "precision": {
+                "x64": bool(setting("jax_enable_x64")),
+                "dtypes": sorted({config.get("dtype", "float64") for config in configs}),
+                "matmul": setting("jax_default_matmul_precision") or "set by each operation",
+            },
+            "plan": plan.content,
             "device": plan.device,
             "times": self._times,
-            "groups": describe_groups(facts, states),
-            "chunks": [describe_chunk(*state, errors.get(state[0].index)) for state in states],
+            "groups": self._described_groups(),
+            "chunks": [self._described(chunk) for chunk in plan.chunks],
             "programs": self.folder.programs(),
             "nans": nans,
             "sha256": merged.sha256 if merged else {},
@@ -166,28 +189,58 @@ class SweepRun:
         """The progress of a chunk, as of the last time that its files were read."""
         return self._files[chunk.index].state if chunk.index in self._files else ChunkState()
 
-    def _facts(self, group: StaticGroup, compile_seconds: float) -> dict[str, Any]:
-        """What is known of a group besides its advances."""
+    def _described(self, chunk: Chunk) -> dict[str, Any]:
+        """The status of a chunk, and its error if it failed."""
+        error = self.merged.errors.get(chunk.index) if self.merged else None
         return {
-            "name": self.plan.name(group),
-            "points": list(group.points),
-            "lanes_per_device": self.plan.layouts[group.index].lanes,
-            "compile_seconds": compile_seconds,
-            "times": self._times_of(group),
+            "chunk": chunk.index,
+            "group": chunk.group,
+            "point": chunk.point,
+            "runs": chunk.num_runs,
+            "identity": chunk.identity,
+            "status": "failed" if error else "done" if self._state(chunk).is_done else "unfinished",
+            "error": error,
         }
+
+    def _described_groups(self) -> list[dict[str, Any]]:
+        """Seconds and steps of the static groups: compilation and advances."""
+        compiled = self.folder.compile_seconds()
+        segments: dict[int, list[list[float]]] = defaultdict(list)
+        for chunk in self.plan.chunks:
+            segments[chunk.group] += self._state(chunk).segments
+        return [
+            {
+                "group": group.index,
+                "name": self.plan.name(group),
+                "points": list(group.points),
+                "lanes_per_device": self.plan.layouts[group.index].lanes,
+                "compile_seconds": compiled.get(str(group.index), 0.0),
+                "times": self._times_of(group),
+                "run_seconds": sum((seconds for _, _, seconds in segments[group.index]), 0.0),
+                "active_steps": sum(int(steps) for _, steps, _ in segments[group.index]),
+            }
+            for group in self.plan.groups
+        ]
 
     def _times_of(self, group: StaticGroup) -> dict[str, float]:
         """Seconds from the end of planning to what this process has done of a group."""
         progress = self._progress.get(group.index)
-        if progress is None:
-            return {}
-        times = {
-            "compiling": progress.compiling,
-            "compiled": progress.compiled,
-            "begun": progress.begun,
-            "ended": progress.ended,
-        }
+        times = {name: getattr(progress, name, None) for name in ("compiling", "compiled", "begun", "ended")}
         return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
+
+
+def outline_of(module: Any) -> dict[str, Any]:
+    """The outline of the problem's world, which figures draw: `{"outline": ...}`, or `{}` without one.
+
+    Raises:
+        ConfigError: The problem's `outline` fails, or returns something else than an outline.
+    """
+    try:
+        outline_of_problem = getattr(getattr(module, "problem", None), "outline", None)
+        outline = outline_of_problem() if outline_of_problem else None
+        return {} if outline is None else {"outline": outline.as_numbers()}
+    except Exception as error:  # the user's code
+        raise ConfigError(f"{type(module.problem).__name__}.outline: {error_line(error)}") from error
 
 
 @dataclass(frozen=True)

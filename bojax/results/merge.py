@@ -33,26 +33,6 @@ HELD_ROWS = 1 << 20
 _TIMINGS = ("group", "point", "chunk", "segment", "lanes", "active_steps", "seconds")
 
 
-@dataclass(frozen=True)
-class PointInfo:
-    """The columns of the merged tables that describe a point: label, variant and swept values."""
-
-    index: int
-    label: str
-    variant: str
-    swept: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class ChunkInfo:
-    """A chunk: the name of its attempts, and what `timings.parquet` says of it; `point` is -1 for several."""
-
-    name: str
-    index: int
-    group: int
-    point: int
-
-
 NOTABLE: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "ignored_samples": lambda number: number > 0,
     "collapses": lambda number: number > 0,
@@ -74,7 +54,11 @@ class Merged:
 
 
 def merge(
-    folder: Path, chunks: Sequence[ChunkInfo], names: Iterable[str], points: Sequence[PointInfo], seed: int
+    folder: Path,
+    chunks: Mapping[str, tuple[int, int]],
+    names: Iterable[str],
+    points: Sequence[Mapping[str, Any]],
+    seed: int,
 ) -> Merged:
     """Write every table from the chunks that are done, and move their snapshots.
 
@@ -83,19 +67,18 @@ def merge(
 
     Args:
         folder: The results folder.
-        chunks: All chunks of the sweep.
+        chunks: Group and point of all chunks of the sweep in order, by their names; the point is -1 for
+            several.
         names: Names of the tables.
-        points: All points of the sweep.
+        points: `label`, `variant` and `swept` values of all points of the sweep.
         seed: Seed of the sweep.
 
     Raises:
         ResultsError: A committed file is missing or has changed; in this case nothing is written.
     """
     attempts = AttemptRegistry(folder / WORK, folder)
-    files = committed_files(attempts, {chunk.index: chunk.name for chunk in chunks})
-    done = [
-        files[chunk.index] for chunk in chunks if chunk.index in files and files[chunk.index].state.is_done
-    ]
+    files = committed_files(attempts, chunks)
+    done = [found for found in files.values() if found.state.is_done]
     # Lists, since every file is verified by this, before the first table is written.
     pieces = {name: [piece for each in done for piece in each.pieces(name)] for name in dict.fromkeys(names)}
     moves = [(each.committed(name), folder / name) for each in done for name in each.snapshots()]
@@ -108,9 +91,9 @@ def merge(
     return Merged(
         files=files,
         errors={
-            chunk.index: attempts.reason(chunk.name)
-            for chunk in chunks
-            if chunk.name in attempts.failed and chunk.name not in attempts.done
+            index: attempts.reason(name)
+            for index, name in enumerate(chunks)
+            if name in attempts.failed and name not in attempts.done
         },
         nans=nans,
         notable={column: _num_runs(folder, column, is_notable) for column, is_notable in NOTABLE.items()},
@@ -118,19 +101,14 @@ def merge(
     )
 
 
-def committed_files(attempts: AttemptRegistry, chunks: Mapping[int, str]) -> dict[int, ChunkFolder]:
-    """The committed files of each chunk that has any, by its index.
-
-    Args:
-        attempts: The attempts.
-        chunks: Names of the chunks, by index.
-    """
-    found = {index: attempts.committed(name) for index, name in chunks.items() if attempts.newest(name)}
+def committed_files(attempts: AttemptRegistry, chunks: Iterable[str]) -> dict[int, ChunkFolder]:
+    """The committed files of each chunk that has any, by its index among the names of all chunks."""
+    found = {index: attempts.committed(name) for index, name in enumerate(chunks) if attempts.newest(name)}
     return {index: files for index, files in found.items() if files is not None}
 
 
 def _write_tables(
-    folder: Path, pieces: Mapping[str, Sequence[Path]], points: Sequence[PointInfo], seed: int
+    folder: Path, pieces: Mapping[str, Sequence[Path]], points: Sequence[Mapping[str, Any]], seed: int
 ) -> dict[tuple[int, int], int]:
     """Write every table, and return the number of NaNs of each (point, run) that has any."""
     nans: Counter[tuple[int, int]] = Counter()
@@ -146,13 +124,13 @@ def _write_tables(
     return nans
 
 
-def _timings(chunks: Iterable[ChunkInfo], files: Mapping[int, ChunkFolder]) -> pa.Table:
-    """One row per segment; `point` is -1 for a chunk with several points."""
+def _timings(chunks: Mapping[str, tuple[int, int]], files: Mapping[int, ChunkFolder]) -> pa.Table:
+    """One row per segment."""
     rows = [
-        (chunk.group, chunk.point, chunk.index, number, int(lanes), int(steps), float(seconds))
-        for chunk in chunks
-        if chunk.index in files
-        for number, (lanes, steps, seconds) in enumerate(files[chunk.index].state.segments)
+        (group, point, index, number, int(lanes), int(steps), float(seconds))
+        for index, (group, point) in enumerate(chunks.values())
+        if index in files
+        for number, (lanes, steps, seconds) in enumerate(files[index].state.segments)
     ]
     return pa.table({name: [row[i] for row in rows] for i, name in enumerate(_TIMINGS)})
 
@@ -233,20 +211,20 @@ def _move(source: Path, target: Path) -> None:
     os.replace(source, target)
 
 
-def _labelled(table: pa.Table, points: Sequence[PointInfo]) -> pa.Table:
-    return table.add_column(1, "label", _of_point(table, [point.label for point in points], pa.string()))
+def _labelled(table: pa.Table, points: Sequence[Mapping[str, Any]]) -> pa.Table:
+    return table.add_column(1, "label", _of_point(table, [point["label"] for point in points], pa.string()))
 
 
-def _runs(table: pa.Table, points: Sequence[PointInfo], seed: int, nans: Mapping) -> pa.Table:
+def _runs(table: pa.Table, points: Sequence[Mapping[str, Any]], seed: int, nans: Mapping) -> pa.Table:
     """`point, label, variant, <swept keys>, run, seed, <scalars>, nans`."""
     keys = table["point"].to_pylist(), table["run"].to_pylist()
     columns: dict[str, Any] = {
         "point": table["point"],
-        "label": _of_point(table, [point.label for point in points], pa.string()),
-        "variant": _of_point(table, [point.variant for point in points], pa.string()),
+        "label": _of_point(table, [point["label"] for point in points], pa.string()),
+        "variant": _of_point(table, [point["variant"] for point in points], pa.string()),
     }
-    for key in dict.fromkeys(key for point in points for key in point.swept):
-        values, kind = _column([point.swept.get(key) for point in points])
+    for key in dict.fromkeys(key for point in points for key in point["swept"]):
+        values, kind = _column([point["swept"].get(key) for point in points])
         columns[key] = _of_point(table, values, kind)
     columns["run"] = table["run"]
     columns["seed"] = pa.array(np.full(table.num_rows, seed, dtype=np.int64))

@@ -158,7 +158,7 @@ def test_the_results_page_names_every_column():
     configs.append(load_sweep("table-5.1").points[0].config)
     tables = [table for config in configs for table in build(config).tables.values()]
     columns = {re.sub(r"^(observation|action)_\d+$", r"\1_0", column.name) for t in tables for column in t}
-    assert columns | set(_timings([], {}).column_names) <= names_in(DOCS / "results.md")
+    assert columns | set(_timings({}, {}).column_names) <= names_in(DOCS / "results.md")
 
 
 def test_the_code_of_an_equation_exists():

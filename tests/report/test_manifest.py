@@ -8,7 +8,7 @@ from bojax import __version__
 from bojax.cli.main import main
 from bojax.config.files import available
 from bojax.config.sweep import load_config, load_sweep, validate_experiment
-from bojax.engine.manifest import plain
+from bojax.engine.plan import plain
 from bojax.report.build import build_report
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of
 from bojax.report.source import load

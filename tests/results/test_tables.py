@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bojax.results.chunk_folder import ChunkFolder
-from bojax.results.merge import ChunkInfo, PointInfo, merge, sorted_rows
+from bojax.results.merge import merge, sorted_rows
 from bojax.results.schema import Column
 from bojax.results.store import (
     WORK,
@@ -82,12 +82,12 @@ def test_nans_are_counted_by_run():
     assert count_nans(table) == {(0, 1): 2, (1, 1): 1}
 
 
-CHUNKS = [ChunkInfo(f"chunk-{index:05d}-0123456789ab", index, 0, -1) for index in range(2)]
+CHUNKS = {f"chunk-{index:05d}-0123456789ab": (0, -1) for index in range(2)}
 
 
 def attempt(folder, index=0, number=1):
     """The files of an attempt at a chunk."""
-    chunk = CHUNKS[index].name
+    chunk = list(CHUNKS)[index]
     files = ChunkFolder(folder / WORK / f"{chunk}-{number}", folder, chunk)
     files.path.mkdir(parents=True)
     return files
@@ -108,7 +108,10 @@ def done(files, *parts, table="steps"):
     return files
 
 
-POINTS = [PointInfo(0, "kcbts", "fast", {}), PointInfo(1, "sbo", "slow", {})]
+POINTS = [
+    {"label": "kcbts", "variant": "fast", "swept": {}},
+    {"label": "sbo", "variant": "slow", "swept": {}},
+]
 
 
 def test_merge_depends_on_the_rows_alone(tmp_path):
@@ -140,7 +143,7 @@ def test_merge_depends_on_the_rows_alone(tmp_path):
 def test_swept_values_keep_their_type(tmp_path, values, kind):
     runs = to_arrow(KEYS, {"point": np.array([1, 0]), "run": np.array([0, 0])})
     done(attempt(tmp_path), runs, table="runs")
-    points = [PointInfo(i, "kcbts", "", {"a.b": value}) for i, value in enumerate(values)]
+    points = [{"label": "kcbts", "variant": "", "swept": {"a.b": value}} for value in values]
     merge(tmp_path, CHUNKS, ["runs"], points, seed=9)
     table = read_table(tmp_path / "runs.parquet")
     assert table.column_names == ["point", "label", "variant", "a.b", "run", "seed", "nans"]
