@@ -1,4 +1,4 @@
-"""Algorithm 1 against plain NumPy, and on functions whose maximum is known."""
+"""Algorithm 1 against plain NumPy, and on functions whose maximum is known; and its standardised values."""
 
 import functools
 from functools import partial
@@ -11,7 +11,7 @@ import pytest
 from jaxtyping import Array, Float, Int
 from scipy import stats
 
-from bojax.acquisition.bayesian_optimisation import NOISE_SPREAD_BELOW, BayesianOptimisation
+from bojax.acquisition.bayesian_optimisation import NOISE_SPREAD_BELOW, BayesianOptimisation, standardise
 from bojax.acquisition.functions import LogExpectedImprovement, UpperConfidenceBound
 from bojax.models.kernels import RBF, Matern52
 from bojax.numerics.quasirandom import shifted_kronecker
@@ -468,3 +468,42 @@ def test_equal_values_have_the_unit_1_as_no_value_has(num):
     near = (0.05 / (0.05 + num)) ** 0.5  # of a process of variance 1 after `num` observations of the point
     np.testing.assert_allclose(std, [near, 1.0], rtol=1e-3)
     np.testing.assert_allclose(one.noise_std(state), 0.05**0.5, rtol=1e-12)
+
+
+scaled = jax.jit(lambda *args: standardise(*args)[0])
+RNG = np.random.default_rng(0)
+EXISTS = jnp.arange(12) < 9
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-3, 1.0, 1e200])
+@pytest.mark.parametrize("offset", [0.0, 1.0, -1e6])
+def test_mean_and_variance_are_those_of_the_standard_normal(scale, offset):
+    values = scale * (RNG.normal(size=12) + offset)
+    found = np.asarray(scaled(jnp.asarray(values), EXISTS))
+    np.testing.assert_allclose(found[:9].mean(), 0.0, atol=1e-8)
+    np.testing.assert_allclose(found[:9].std(), 1.0, rtol=1e-12)
+    relative = values / scale
+    np.testing.assert_allclose(
+        found[:9], (relative[:9] - relative[:9].mean()) / relative[:9].std(), atol=1e-8
+    )
+
+
+@pytest.mark.parametrize("rest", [0.0, 5.0, np.nan, np.inf])
+def test_what_does_not_exist_has_no_part(rest):
+    values = jnp.asarray(RNG.normal(size=12))
+    alone = scaled(values[:9], EXISTS[:9])
+    found = scaled(jnp.where(EXISTS, values, rest), EXISTS)
+    np.testing.assert_allclose(found[:9], alone, atol=1e-14)
+    np.testing.assert_array_equal(found[9:], 0.0)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("value", [0.0, 0.1, -1e6, 1e30])
+def test_equal_values_and_no_values_are_zero(dtype, value):
+    for exists in (EXISTS, jnp.zeros(12, bool)):
+        np.testing.assert_array_equal(scaled(jnp.full(12, value, dtype), exists), jnp.zeros(12, dtype))
+
+
+def test_a_small_difference_between_large_values_counts():
+    found = scaled(jnp.asarray([1e6, 1e6 + 1e-3]), jnp.ones(2, bool))
+    np.testing.assert_allclose(found, [-1.0, 1.0], rtol=1e-6)

@@ -1,4 +1,4 @@
-"""RFF-Q acts epsilon-greedily, on a finite set of actions and on fresh draws from a box."""
+"""RFF-Q acts epsilon-greedily, on a finite set and on draws from a box; random actions are uniform."""
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ from scipy import stats
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning.settings import RFFQ, OneHot, RandomFourierFeatures
+from bojax.learning.settings import RFFQ, OneHot, RandomActions, RandomFourierFeatures
 from tests.learning.probes import exploring
 
 DRAWS = 4000
@@ -58,3 +58,19 @@ def test_in_a_box_a_random_action_is_uniform_and_the_best_of_several_draws_is_no
     levels = np.quantile(values, [0.5, 0.7, 0.9])
     shares = np.mean(best[:, None] <= levels[None, :], axis=0)
     np.testing.assert_allclose(shares, np.asarray([0.5, 0.7, 0.9]) ** 4, atol=0.03)
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.0])
+def test_actions_are_uniform(scale):
+    exploration = exploring(scale, is_learning=False)
+    learner = build(RandomActions())
+
+    def drawn(space):
+        state = learner.init(jax.random.key(1), Discrete(3), space, capacity=10)
+        act = jax.jit(jax.vmap(lambda key: learner.act(key, state, jnp.int32(0), exploration)[0]))
+        return np.asarray(act(jax.random.split(jax.random.key(0), 2000)))
+
+    box = drawn(Box(jnp.asarray([-1.0, 2.0]), jnp.asarray([1.0, 6.0])))
+    for column, (low, width) in zip(box.T, [(-1.0, 2.0), (2.0, 4.0)], strict=True):
+        assert stats.kstest(column, stats.uniform(low, width).cdf).pvalue > 1e-3
+    assert stats.chisquare(np.bincount(drawn(Discrete(4)), minlength=4)).pvalue > 1e-3
