@@ -16,7 +16,7 @@ from bojax.report.ranking import ENDS, Measure, signed
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
 from bojax.report.text import heading, is_number, joined, number
 
-WIDE = 50
+WIDE = 20
 """Ratio of the greatest to the least swept number from which the axis is logarithmic."""
 
 _FITTED: dict[str, Any] = {"color": style.INK, "linewidth": 1.1, "linestyle": (0, (2, 2)), "zorder": 1.8}
