@@ -28,7 +28,10 @@ def to_next_mean(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Flo
 
 
 def manage_uncertainty(problem: VdpTag, key: Key[Array, ""], belief: Particles) -> Float[Array, "2"]:
-    """Move towards the next position of the mean target; look if its covariance is large."""
+    """Move towards the next position of the mean target; look if it is uncertain.
+
+    It is where the root of the determinant of its covariance is above 0.01.
+    """
     determinant = jnp.linalg.det(belief.covariance[2:, 2:])
     look = jnp.sqrt(jnp.maximum(determinant, 0.0)) > 0.01
     return _towards_next(problem, belief.mean, look.astype(belief.states.dtype))
