@@ -26,7 +26,7 @@ from bojax.learning.refit_policy import (
 )
 from bojax.numerics.lanes import any_lane, batched_together, largest_in_lanes
 from bojax.numerics.linalg import matmul, matmul_on_tensor_cores, row_sums, solve_large
-from bojax.numerics.loops import while_going
+from bojax.numerics.stragglers import while_going
 
 CHANGED, CHANGED_ON_CPU = 512, 128
 """Number of changed transitions that are added to the equations at a time."""

@@ -12,10 +12,11 @@ from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Discrete, Space
+from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
 from bojax.learning.base import Episode, ExplorationState, Learner
 from bojax.learning.memory import EpisodeBatch, ReplayPool, Standardisation, emptied
 from bojax.learning.networks import PolicyNetwork
-from bojax.learning.trpo import TRPO, LinearBaseline, Samples, discounted_sums, td_errors
+from bojax.learning.trpo import TRPO, Samples
 from bojax.models.bayesian_network import BayesianNetwork
 from bojax.numerics.lanes import any_lane
 from bojax.results.schema import Column, Table

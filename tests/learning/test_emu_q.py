@@ -22,7 +22,7 @@ from bojax.learning.settings import (
 )
 from bojax.numerics.lanes import LANES
 from bojax.numerics.linalg import solve_large
-from bojax.numerics.loops import LEAST
+from bojax.numerics.stragglers import LEAST
 from tests.learning.probes import exploring
 from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode, StoredRewards
 from tests.tiers import by_tier

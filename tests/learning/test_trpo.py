@@ -1,4 +1,4 @@
-"""TRPO: the Fisher matrix of a small policy, the step against an exact solution, and advantages of paths."""
+"""TRPO: the Fisher matrix of a small policy, the step against an exact solution, and what a step promises."""
 
 import equinox as eqx
 import jax
@@ -10,8 +10,7 @@ from scipy import special
 
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.networks import Categorical, Gaussian, PolicyNetwork
-from bojax.learning.trpo import TRPO, LinearBaseline, Samples, discounted_sums, td_errors
-from tests.reference import vime as reference
+from bojax.learning.trpo import TRPO, Samples
 
 SPACES = {"continuous": Box(-jnp.ones(2), jnp.ones(2)), "discrete": Discrete(3)}
 NUM = 40
@@ -145,70 +144,3 @@ def test_densities_probabilities_and_divergences():
     np.testing.assert_allclose(jnp.exp(categorical.log_probability(jnp.int32(2))), 0.3, rtol=1e-12)
     divergence = categorical.kl(Categorical(jnp.log(jnp.asarray(q))))
     np.testing.assert_allclose(divergence, np.sum(p * np.log(p / q)), rtol=1e-12)
-
-
-sums_of_paths, errors_of_paths = jax.jit(discounted_sums), jax.jit(td_errors)
-fit, predict = eqx.filter_jit(LinearBaseline.fit), eqx.filter_jit(LinearBaseline.predict)
-
-LENGTHS = (5, 1, 12, 7)
-
-
-def paths(seed=0):
-    """Numbers of some paths one after the other, where each starts, and which are the last of a path."""
-    rng = np.random.default_rng(seed)
-    ends = np.cumsum(LENGTHS)
-    is_last = np.isin(np.arange(ends[-1]), ends - 1)
-    return rng.normal(size=(2, ends[-1])), ends[:-1], is_last
-
-
-@pytest.mark.parametrize("factor", [0.0, 0.9, 1.0])
-def test_sums_of_a_path_are_those_of_a_loop(factor):
-    (rewards, _), starts, is_last = paths()
-    sums = sums_of_paths(jnp.asarray(rewards), jnp.asarray(is_last), jnp.asarray(factor))
-    expected = [reference.returns(path, factor) for path in np.split(rewards, starts)]
-    np.testing.assert_allclose(sums, np.concatenate(expected), atol=1e-12)
-
-
-@pytest.mark.parametrize("trace_decay", [1.0, 0.7, 0.0])
-def test_advantages_are_those_of_a_loop(trace_decay):
-    (rewards, values), starts, is_last = paths()
-    errors = errors_of_paths(*(jnp.asarray(x) for x in (rewards, values, is_last)), jnp.asarray(0.9))
-    gains = sums_of_paths(errors, jnp.asarray(is_last), jnp.asarray(0.9 * trace_decay))
-    expected = [
-        reference.advantages(r, v, 0.9, trace_decay)
-        for r, v in zip(np.split(rewards, starts), np.split(values, starts), strict=True)
-    ]
-    np.testing.assert_allclose(gains, np.concatenate(expected), atol=1e-12)
-
-
-def baseline_problem(seed=0):
-    rng = np.random.default_rng(seed)
-    observations = rng.normal(size=(sum(LENGTHS), 2)) * [1.0, 6.0]
-    steps = np.concatenate([np.arange(length) for length in LENGTHS])
-    return observations, steps, rng.normal(size=sum(LENGTHS)) + 3.0
-
-
-def test_the_baseline_is_the_least_squares_fit():
-    observations, steps, returns = baseline_problem()
-    valid = np.arange(len(steps)) < len(steps) - LENGTHS[-1]
-    arrays = (jnp.asarray(x) for x in (observations, steps.astype(np.int32), returns, valid))
-    baseline = fit(*arrays)
-    features = np.vstack(
-        [reference.baseline_features(o) for o in np.split(observations, np.cumsum(LENGTHS)[:-1])]
-    )
-    chosen, _, _, _ = np.linalg.lstsq(features[valid], returns[valid], rcond=None)
-    predicted = predict(baseline, jnp.asarray(observations), jnp.asarray(steps, jnp.int32))
-    np.testing.assert_allclose(predicted, features @ np.asarray(baseline.weights), atol=1e-9)
-    least = np.mean((features[valid] @ chosen - returns[valid]) ** 2)
-    error = np.mean((np.asarray(predicted)[valid] - returns[valid]) ** 2)
-    assert least <= error < 1.01 * least
-
-
-def test_the_baseline_in_single_precision_with_features_that_depend_on_each_other():
-    angle = np.linspace(0.0, 6.0, 2000)
-    observations = jnp.asarray(np.c_[np.cos(angle), np.sin(angle)], jnp.float32)  # the squares add to 1
-    steps, valid = jnp.arange(2000, dtype=jnp.int32) % 500, jnp.ones(2000, bool)
-    returns = observations[:, 0] + 0.5 * observations[:, 1] ** 2 - steps.astype(jnp.float32) / 500.0
-    baseline = fit(observations, steps, returns, valid)
-    assert baseline.weights.dtype == jnp.float32
-    np.testing.assert_allclose(predict(baseline, observations, steps), returns, atol=2e-2)
