@@ -2,7 +2,7 @@
 # make test  the tests, on the CPU
 # make slow  the tests of a release: all cases of what `make test` tests by a case a path, claims of the thesis,
 #            and equal bits with XLA's default options
-# make check formatting, lints, types, layers
+# make check formatting, lints, types, layers, links of the documentation
 # make smoke a sweep and a robot with the newest versions of all packages, with PYTHON=python3.13
 # make site  the documentation as a site, in ./site
 # make gallery every figure that bojax can draw, on one page
@@ -31,7 +31,7 @@ slow: $(DEV_STAMP)
 	BOJAX_TESTS=release JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "bits or minutes"
 	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not bits and not minutes"
 
-check: $(DEV_STAMP)
+check: $(DEV_STAMP) site
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
