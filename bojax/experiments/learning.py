@@ -20,8 +20,8 @@ from bojax.experiments.base import Experiment, Records
 from bojax.experiments.episode import EpisodeState
 from bojax.experiments.phases import PHASES, Phase, run_episode
 from bojax.experiments.step_rows import StepRows
-from bojax.experiments.targets import TargetProgress
-from bojax.experiments.value_maps import Visits, value_map
+from bojax.experiments.targets import TARGET_COLUMNS, TargetProgress
+from bojax.experiments.value_maps import SCORE_COLUMNS, Maps, value_map
 from bojax.learning.base import ExplorationState, Learner, LearnerState
 from bojax.learning.check import check_learner, check_schedule, check_weight
 from bojax.learning.schedules import Schedule
@@ -55,13 +55,7 @@ class RunState(eqx.Module):
     episodes_to_goal: Int[Array, ""]  # training episodes up to and including the first success; -1 before
     steps_to_goal: Int[Array, ""]  # training steps up to the first success; -1 before
     target: TargetProgress  # progress of the test episodes towards the target return
-    # Q and U over the observations after each of `map_episodes`, NaN before; None if there are no
-    # `map_episodes`
-    maps: Float[Array, "K 2 *grid"] | None
-    # Cells of the maps that the run has been in; None unless there are maps over two observations
-    visits: Visits | None
-    # `Visits.scores` at each of `map_episodes`, NaN before; None as `visits`
-    map_scores: Float[Array, "K 4"] | None
+    maps: Maps | None  # Q and U over the observations after each of `map_episodes`; None if there are none
     counts: dict[str, Int[Array, ""]]  # `Env.counts` over all training episodes so far
 
 
@@ -165,8 +159,8 @@ class LearningRun(Experiment):
         return {
             "runs": _RUN_COLUMNS
             + self.env.count_columns
-            + (_TARGET_COLUMNS if self.target_return is not None else ())
-            + (_MAP_COLUMNS if self._maps_a_plane else ())
+            + (TARGET_COLUMNS if self.target_return is not None else ())
+            + (SCORE_COLUMNS if self._maps_a_plane else ())
             + self.learner.columns,
             "episodes": _EPISODE_COLUMNS,
             "steps": self._rows.columns,
@@ -230,12 +224,8 @@ class LearningRun(Experiment):
         number = jnp.zeros((), self._dtype)
         maps = None
         if self.map_episodes:  # an empty array could not be spread over devices
-            grid = jax.eval_shape(self._map, learner).shape
-            maps = jnp.full((len(self.map_episodes), *grid), jnp.nan, self._dtype)
-        visits = map_scores = None
-        if self._maps_a_plane:
-            visits = Visits.none(self.map_resolution)
-            map_scores = jnp.full((len(self.map_episodes), 4), jnp.nan, self._dtype)
+            of_one = jax.eval_shape(self._map, learner)
+            maps = Maps.none(len(self.map_episodes), of_one, are_scored=self._maps_a_plane)
         return RunState(
             key=key,
             learner=learner,
@@ -249,8 +239,6 @@ class LearningRun(Experiment):
             steps_to_goal=never,
             target=TargetProgress(never, zero, number),
             maps=maps,
-            visits=visits,
-            map_scores=map_scores,
             counts={column.name: zero for column in self.env.count_columns},
         )
 
@@ -300,16 +288,9 @@ class LearningRun(Experiment):
             "steps_to_goal": carry.steps_to_goal,
         }
         if self.target_return is not None:
-            target = carry.target
-            summary["reached"] = target.is_reached
-            summary["episodes_to_target"] = target.episodes
-            summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
-        if carry.map_scores is not None:
-            contrast, start, high, leads = carry.map_scores.T
-            summary["unseen_u"] = jnp.mean(contrast)
-            summary["start_u_change"] = start[-1] - start[0]
-            summary["high_u_change"] = high[-1] - high[0]
-            summary["u_leads"] = jnp.mean(leads)
+            summary |= carry.target.summary()
+        if carry.maps is not None:
+            summary |= carry.maps.summary()
         return summary | carry.counts | self.learner.summary(carry.learner)
 
     @override
@@ -317,7 +298,7 @@ class LearningRun(Experiment):
         """The maps of Q and U, and the bounds of the observations."""
         if carry.maps is None:
             return {}
-        values = {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}
+        values = {"maps": carry.maps.values, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}
         if isinstance(space := self.env.observation_space, Box):
             values |= {"low": space.low, "high": space.high}
         return {"values": values}
@@ -403,18 +384,16 @@ class LearningRun(Experiment):
         is_step = jnp.arange(len(expected), dtype=jnp.int32) < episode.length
         mean = jnp.sum(jnp.where(is_step, expected, 0.0)) / jnp.maximum(episode.length, 1).astype(self._dtype)
         planned_return = jnp.where(jnp.isfinite(mean), mean, jnp.nan)
-        maps, visits, map_scores = carry.maps, carry.visits, carry.map_scores
+        maps = carry.maps
         if maps is not None:
             # The map is computed after every episode and kept at `map_episodes`: lanes may be in different
             # episodes.
             now = (number == jnp.asarray(self.map_episodes, jnp.int32)) & active
-            found = self._map(learner)
-            maps = jnp.where(now.reshape(-1, *[1] * (maps.ndim - 1)), found[None], maps)
-            if visits is not None and map_scores is not None:
+            unit = None
+            if self._maps_a_plane:
                 transitions, _ = self._rows.unpack(episode.rows)
                 unit = self.env.observation_space.to_unit(transitions.observation)
-                visits = visits.after(unit, episode.length)
-                map_scores = jnp.where(now[:, None], visits.scores(found[1])[None], map_scores)
+            maps = maps.after(now, self._map(learner), unit, episode.length)
         after = replace(
             carry,
             learner=learner,
@@ -431,8 +410,6 @@ class LearningRun(Experiment):
             steps_to_goal=jnp.where(is_first, steps, carry.steps_to_goal),
             target=target,
             maps=maps,
-            visits=visits,
-            map_scores=map_scores,
             counts=self._counted(carry, episode),
         )
         tables = {
@@ -524,46 +501,6 @@ _RUN_COLUMNS: Table = (
     Column("outside", "int32", "", "training steps to an observation outside the declared bounds"),
     Column("episodes_to_goal", "int32", "", "training episodes up to the first success", nullable=True),
     Column("steps_to_goal", "int32", "", "training steps up to the first success", nullable=True),
-)
-
-_TARGET_COLUMNS: Table = (
-    Column("reached", "bool", "", "all test episodes after some training episode exceeded the target"),
-    Column("episodes_to_target", "int32", "", "training episodes until this happened", nullable=True),
-    Column(
-        "return_after_target", "float64", "", "mean return of the test episodes after that", nullable=True
-    ),
-)
-
-_MAP_COLUMNS: Table = (
-    Column(
-        "unseen_u",
-        "float64",
-        "",
-        "mean U of the cells without a visit less that of the starting cells, mean over map_episodes",
-        nullable=True,
-    ),
-    Column(
-        "start_u_change",
-        "float64",
-        "",
-        "change of the mean U of the starting cells from the first of map_episodes to the last",
-        nullable=True,
-    ),
-    Column(
-        "high_u_change",
-        "float64",
-        "",
-        "change of the share of cells with a U in the upper half of the map's range, between the same maps",
-        nullable=True,
-    ),
-    Column(
-        "u_leads",
-        "float64",
-        "",
-        "share of the visited cells from which the gradient of U leads to an unvisited cell with a U in the "
-        "upper half of the map's range; mean over map_episodes",
-        nullable=True,
-    ),
 )
 
 _EPISODE_COLUMNS: Table = (

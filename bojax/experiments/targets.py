@@ -2,7 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Scalar
+
+from bojax.results.schema import Column, Table
 
 
 class TargetProgress(eqx.Module):
@@ -33,3 +35,20 @@ class TargetProgress(eqx.Module):
             tests_after=self.tests_after + jnp.where(is_after, len(returns), 0),
             return_after=self.return_after + jnp.where(is_after, jnp.sum(returns), 0.0),
         )
+
+    def summary(self) -> dict[str, Scalar]:
+        """The values of `TARGET_COLUMNS`."""
+        return {
+            "reached": self.is_reached,
+            "episodes_to_target": self.episodes,
+            "return_after_target": self.return_after / self.tests_after.astype(self.return_after.dtype),
+        }
+
+
+TARGET_COLUMNS: Table = (
+    Column("reached", "bool", "", "all test episodes after some training episode exceeded the target"),
+    Column("episodes_to_target", "int32", "", "training episodes until this happened", nullable=True),
+    Column(
+        "return_after_target", "float64", "", "mean return of the test episodes after that", nullable=True
+    ),
+)

@@ -3,10 +3,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Scalar
 
 from bojax.envs.spaces import Box, Space
 from bojax.learning.base import Learner, LearnerState
+from bojax.results.schema import Column, Table
 
 
 def value_map(
@@ -78,6 +79,55 @@ class Visits(eqx.Module):
         )
 
 
+class Maps(eqx.Module):
+    """The maps that a run keeps at some of its episodes, and scores of those over two observations."""
+
+    values: Float[Array, "K 2 *grid"]  # the maps, NaN before
+    visits: Visits | None  # cells that the run has been in; None if maps are not scored
+    scores: Float[Array, "K 4"] | None  # `Visits.scores` of each map, NaN before; None as `visits`
+
+    @classmethod
+    def none(cls, number: int, of_one: jax.ShapeDtypeStruct, *, are_scored: bool) -> "Maps":
+        """No maps yet of `number`, each with the shape and dtype of one."""
+        values = jnp.full((number, *of_one.shape), jnp.nan, of_one.dtype)
+        if not are_scored:
+            return cls(values, None, None)
+        return cls(values, Visits.none(of_one.shape[-1]), jnp.full((number, 4), jnp.nan, of_one.dtype))
+
+    def after(
+        self,
+        now: Bool[Array, "K"],
+        found: Float[Array, "2 *grid"],
+        unit: Float[Array, "T 2"] | None,
+        length: Int[Array, ""],
+    ) -> "Maps":
+        """The maps after an episode.
+
+        Args:
+            now: Which of the maps is that of this episode, if any.
+            found: The map after the episode.
+            unit: The observations before its steps in [0, 1]; None if maps are not scored.
+            length: Number of its steps.
+        """
+        values = jnp.where(now.reshape(-1, *[1] * found.ndim), found[None], self.values)
+        if self.visits is None or self.scores is None or unit is None:
+            return Maps(values, None, None)
+        visits = self.visits.after(unit, length)
+        return Maps(values, visits, jnp.where(now[:, None], visits.scores(found[1])[None], self.scores))
+
+    def summary(self) -> dict[str, Scalar]:
+        """The values of `SCORE_COLUMNS`; none if maps are not scored."""
+        if self.scores is None:
+            return {}
+        contrast, start, high, leads = self.scores.T
+        return {
+            "unseen_u": jnp.mean(contrast),
+            "start_u_change": start[-1] - start[0],
+            "high_u_change": high[-1] - high[0],
+            "u_leads": jnp.mean(leads),
+        }
+
+
 def peaks(u: Float[Array, "R R"]) -> Int[Array, "RR"]:
     """The cell in which the gradient of a map ends, for every cell, both as indices of the flat map.
 
@@ -94,3 +144,36 @@ def peaks(u: Float[Array, "R R"]) -> Int[Array, "RR"]:
     for _ in range((resolution**2).bit_length()):
         following = following[following]
     return following
+
+
+SCORE_COLUMNS: Table = (
+    Column(
+        "unseen_u",
+        "float64",
+        "",
+        "mean U of the cells without a visit less that of the starting cells, mean over map_episodes",
+        nullable=True,
+    ),
+    Column(
+        "start_u_change",
+        "float64",
+        "",
+        "change of the mean U of the starting cells from the first of map_episodes to the last",
+        nullable=True,
+    ),
+    Column(
+        "high_u_change",
+        "float64",
+        "",
+        "change of the share of cells with a U in the upper half of the map's range, between the same maps",
+        nullable=True,
+    ),
+    Column(
+        "u_leads",
+        "float64",
+        "",
+        "share of the visited cells from which the gradient of U leads to an unvisited cell with a U in the "
+        "upper half of the map's range; mean over map_episodes",
+        nullable=True,
+    ),
+)

@@ -572,22 +572,22 @@ def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     run = on_strip(run)
     assert scores <= {column.name for column in run.tables["runs"]}
     carry = _start(run, jax.random.split(jax.random.key(0), 1))
-    assert np.all(np.isnan(carry.map_scores))
+    assert np.all(np.isnan(carry.maps.scores))
     carry, _ = _advance(run, carry)
     # Over the first two dimensions, with the action in the middle of its range.
-    q, u = np.asarray(carry.maps[0, 0])
+    q, u = np.asarray(carry.maps.values[0, 0])
     assert np.array_equal(q, np.tile([[0.5], [1.5], [2.5], [3.5]], (1, 4)))
     assert np.array_equal(u, np.tile([-0.5, 0.5, 1.5, 2.5], (4, 1)) + 1.0)
     seen = np.zeros((4, 4), bool)
     seen[np.minimum(np.arange(carry.steps[0]), 3), 1] = True  # the second observation is always 0
     assert 1 < seen.sum()
-    np.testing.assert_array_equal(carry.visits.seen[0], seen)
-    np.testing.assert_array_equal(np.argwhere(carry.visits.starts[0]), [[0, 1]])
+    np.testing.assert_array_equal(carry.maps.visits.seen[0], seen)
+    np.testing.assert_array_equal(np.argwhere(carry.maps.visits.starts[0]), [[0, 1]])
     # U is 0.5, 1.5, 2.5 and 3.5 in the four rows of cells: two of them are high. It rises to the last one.
     np.testing.assert_allclose(
-        carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1], 0.5, 1.0], rtol=1e-6
+        carry.maps.scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1], 0.5, 1.0], rtol=1e-6
     )
-    assert np.all(np.isnan(carry.map_scores[0, 1]))
+    assert np.all(np.isnan(carry.maps.scores[0, 1]))
 
 
 def climb(u: np.ndarray, cell: tuple[int, int]) -> tuple[int, int]:
