@@ -13,7 +13,7 @@ STRICT = {
     "jax_debug_key_reuse": True,
     "jax_num_cpu_devices": 2,
     "jax_compilation_cache_dir": os.environ["BOJAX_CACHE"],
-    "jax_persistent_cache_min_compile_time_secs": 0.0,
+    "jax_persistent_cache_min_compile_time_secs": 0.3,  # to write others takes longer than to compile them
 }
 
 for _flag, _value in STRICT.items():
