@@ -48,11 +48,11 @@ def _united(found: list[list[Any]], file: str) -> BaseGeometry:
         name = f"{file}: polygon {number} of {len(found)}"
         try:
             borders = [np.array([corner[:2] for corner in ring], float) for ring in rings]
+            if not all(np.isfinite(border).all() for border in borders):
+                raise ValueError("a corner is not finite")
             polygon = shapely.Polygon(borders[0], borders[1:])
         except Exception as error:  # of NumPy, shapely, or an empty list of rings
             raise ValueError(f"{name}: {one_line(error)}") from error
-        if not np.isfinite(shapely.get_coordinates(polygon)).all():
-            raise ValueError(f"{name}: a corner is not finite")
         if not shapely.is_valid(polygon):
             reason = one_line(shapely.is_valid_reason(polygon)).replace("[", " at ").replace("]", "").lower()
             raise ValueError(f"{name}: crosses itself or touches itself ({reason})")

@@ -133,6 +133,7 @@ def test_sizes(text, size):
         ("a.geojson", geojson(BOW_TIE), r"polygon 1 of 1: crosses itself .*at 5 5"),
         ("a.geojson", geojson(OUTER[:2]), "polygon 1 of 1: "),
         ("a.geojson", geojson([["a", 1], [1, 2], [3, 4]]), "polygon 1 of 1: could not convert"),
+        ("a.geojson", geojson([[np.nan, 1], [1, 2], [3, 4]]), "polygon 1 of 1: a corner is not finite"),
         ("a.geojson", json.dumps({"type": "Point", "coordinates": [0, 0]}), "holds no polygon"),
         ("a.geojson", "[]", "is not GeoJSON"),
         ("a.geojson", "{", "is not JSON: Expecting property name"),
