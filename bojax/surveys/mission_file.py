@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bojax.areas.area import Area
+from bojax.areas.area import Area, Ring
 from bojax.results.store import write_arrays
 from bojax.surveys.goals import Goal
 from bojax.surveys.measurements import Measurements
@@ -35,11 +35,10 @@ def write_mission(mission: "Mission", path: Path) -> None:
         *((robot.remaining, robot.time) for robot in mission.robots), strict=True
     )
     plain["counts"], plain["options"] = dict(mission.counts), dataclasses.asdict(mission.options)
-    region = () if mission.goal.region is None else mission.goal.region.outline
-    plain["goal"] = mission.goal.kind, mission.goal.threshold, len(region)
-    zones = (mission.area.outline, *mission.area.avoid)
+    zones, region = _zones(mission.area), _zones(mission.goal.region)
+    plain["goal"] = mission.goal.kind, mission.goal.threshold, [len(zone) for zone in region]
     plain["rings"] = [len(zone) for zone in zones]
-    rings = [ring for zone in zones for ring in zone] + list(region)
+    rings = [ring for zone in zones + region for ring in zone]
     arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
     arrays |= {"x": mission.measured.x, "y": mission.measured.y}
     arrays["position"] = [robot.position for robot in mission.robots]
@@ -68,11 +67,14 @@ def read_mission(path: str | Path) -> tuple[tuple[Area, list[Robot], RouteOption
         options = plain["options"]
         options["stretch"] = tuple(options["stretch"])
         kind, threshold, of_region = plain.get("goal", ("map", np.nan, 0))
-        number = sum(plain["rings"]) + of_region
-        rings = iter([data[f"ring_{index}"] for index in range(number)])
-        zones = [tuple(next(rings) for _ in range(number)) for number in plain["rings"]]
-        area = Area(zones[0], tuple(zones[1:]))
-        region = Area(tuple(rings)) if of_region else None
+        # Files of earlier versions have the number of rings of the region, which lacks its no-go zones there.
+        of_region = of_region if isinstance(of_region, list) else [of_region][: of_region > 0]
+        sizes = plain["rings"] + of_region
+        rings = iter([data[f"ring_{index}"] for index in range(sum(sizes))])
+        zones = [tuple(next(rings) for _ in range(size)) for size in sizes]
+        number = len(plain["rings"])
+        area = Area(zones[0], tuple(zones[1:number]))
+        region = Area(zones[number], tuple(zones[number + 1 :])) if of_region else None
         remaining, times = (np.atleast_1d(plain[name]).tolist() for name in ("remaining", "_time"))
         places = positions("position", data["position"], len(remaining))
         ends = positions("end", data["end"], len(remaining)) if data["end"].size else [None] * len(remaining)
@@ -97,6 +99,11 @@ def read_mission(path: str | Path) -> tuple[tuple[Area, list[Robot], RouteOption
         raise
     except Exception as error:
         raise ValueError(f"{path}: not a saved mission, or damaged") from error
+
+
+def _zones(area: Area | None) -> list[tuple[Ring, ...]]:
+    """The rings of the outline of an area, and of each of its no-go zones."""
+    return [] if area is None else [area.outline, *area.avoid]
 
 
 def _in_file(name: str) -> str:

@@ -306,7 +306,12 @@ def test_a_mission_that_has_left_the_area_and_used_its_budget_is_loaded(tmp_path
     assert_same_plan(other, survey)
 
 
-@pytest.mark.parametrize("goal", ["hotspots", "threshold=110", Area.rectangle(3.0, 3.0, 6.0, 6.0)])
+PART = Area.rectangle(3.0, 3.0, 6.0, 6.0)
+
+
+@pytest.mark.parametrize(
+    "goal", ["hotspots", "threshold=110", PART, PART.without([Area.rectangle(3.0, 3.0, 6.0, 5.0).outline])]
+)
 def test_a_goal_is_kept(tmp_path, goal):
     survey = mission(goal=goal)
     drive(survey, survey.plan(), 6.0)
