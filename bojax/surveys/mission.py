@@ -20,7 +20,16 @@ from bojax.surveys.mission_file import read_mission, write_mission
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
 from bojax.surveys.robot import Robot
-from bojax.surveys.route import ROUNDING, Route, RouteOptions, plan_routes, spread_points, stays_inside
+from bojax.surveys.route import (
+    NUM_GRID,
+    ROUNDING,
+    Route,
+    RouteOptions,
+    counted_points,
+    plan_routes,
+    spread_points,
+    stays_inside,
+)
 from bojax.surveys.search import Search
 from bojax.surveys.team import MOST_ROBOTS
 from bojax.surveys.turns import drivable
@@ -117,7 +126,7 @@ class Mission:
 
         Raises:
             ValueError: A number is out of range, the start or the end is not a position in the area, the
-                budget does not reach from the start to the end, or the goal is not known.
+                budget does not reach from the start to the end, or the goal is not known or elsewhere.
         """
         if not isinstance(area, Area):
             raise ValueError(f"area: got {area!r:.60}; allowed: an Area, such as bojax.read_place(FILE).area")
@@ -149,6 +158,8 @@ class Mission:
             above_zero("relearn_every", relearn_every)
         self.relearn_every = relearn_every
         self.goal = goal_of(goal)
+        if self.goal.region is not None:
+            counted_points(area, self.goal.region, NUM_GRID)  # or refuse a region elsewhere
         self._check_ways()
         if robots == 1 and separation > 0:
             warnings.warn(f"separation: got {separation:g} m, which one robot does not use", stacklevel=2)

@@ -228,13 +228,17 @@ def spread_points(area: Area, number: int) -> Waypoints:
 
 
 def counted_points(area: Area, target: Area | None, number: int) -> Waypoints:
-    """About `number` points `[M, 2]` of the area in its target, m."""
+    """About `number` points `[M, 2]` of the area in its target, m.
+
+    Raises:
+        ValueError: No point of the target is in the area.
+    """
     if target is None:
         return spread_points(area, number)
     points = spread_points(target, number)
     points = points[area.contains(points)]
     if not len(points):
-        raise ValueError("target: no part of it lies in the area")
+        raise ValueError("goal: no part of its region lies in the area")
     return points
 
 
