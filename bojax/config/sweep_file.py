@@ -104,15 +104,21 @@ def read_config(source: Source) -> Written:
     """An experiment file."""
     path = _find(source, "configs") if isinstance(source, str) else UNNAMED
     file = display(path)
-    mapping = read_mapping(path, file) if isinstance(source, str) else source
+    mapping = _read_experiment(path, file) if isinstance(source, str) else source
     if _ONLY_SWEEPS & mapping.keys():
         raise ConfigError(
             f"{file}: is a sweep, not an experiment; start it with: bojax sweep {_command(source)}"
         )
-    saved = mapping.get("saved")
-    if isinstance(saved, str) and os.path.exists(path.parent / saved):  # relative to the config file
-        mapping = {**mapping, "saved": str(path.parent / saved)}
     return Written(path, path.stem, mapping, lambda location: f"{file}: {dotted(location)}", {}, SweepFile())
+
+
+def _read_experiment(path: Path, file: str) -> dict[str, Any]:
+    """The content of an experiment file, whose saved learner may be given relative to it."""
+    mapping = read_mapping(path, file)
+    saved = mapping.get("saved")
+    if isinstance(saved, str) and os.path.exists(path.parent / saved):
+        mapping = {**mapping, "saved": str(path.parent / saved)}
+    return mapping
 
 
 def read_sweep(source: Source) -> Written:
@@ -200,7 +206,7 @@ def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Locati
     except ConfigError as error:
         raise ConfigError(f"{file}: base: {error}") from error
     name = display(path)
-    mapping = read_mapping(path, name)
+    mapping = _read_experiment(path, name)
     if _ONLY_SWEEPS & mapping.keys():
         raise ConfigError(f"{file}: base: {name} is a sweep; allowed: an experiment")
     return mapping, lambda location: f"{name}: {dotted(location)}"

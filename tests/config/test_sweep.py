@@ -210,6 +210,14 @@ class TestFiles:
         write("sweeps/same.yaml", "base: same")
         assert load_sweep("same").points[0].label == "sbo"
 
+    def test_a_saved_learner_is_relative_to_the_config_that_a_run_or_a_sweep_starts_from(self, write):
+        parts = "env: chain, learner: additive, schedule: exploit"
+        file = write("hill/experiment.yaml", f"{{experiment: learning, {parts}, saved: learner}}")
+        (file.parent / "learner").mkdir()
+        write("a.yaml", "{base: hill, axes: {saved_run: [0, 3]}}")
+        found = [*load_config("hill").points, *load_sweep("a.yaml").points]
+        assert [point.config.saved for point in found] == ["hill/learner"] * 3
+
     def test_an_alias_keeps_its_own_name(self, write):
         write("sweeps/fig-1.yaml", "{title: Figure 1, base: {planner: sbo}}")
         write("sweeps/plain.yaml", "alias: fig-1")
