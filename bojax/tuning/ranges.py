@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -71,8 +71,8 @@ def split_ranges(words: Iterable[str]) -> tuple[list[Asked], list[str]]:
     return asked, others
 
 
-def axis_of(asked: Asked, configs: Sequence[Component]) -> Axis:
-    """The range or the choices, given the validated experiments with each of its values.
+def axis_of(asked: Asked, configs: Sequence[Component], written: Component) -> Axis:
+    """The range or the choices, given the validated experiments with each of its values, and as written.
 
     Raises:
         ConfigError: The setting is not a number, or for choices neither a number, a text nor a part.
@@ -88,16 +88,23 @@ def axis_of(asked: Asked, configs: Sequence[Component]) -> Axis:
     low, high = values
     if not (is_number(low) and is_number(high)):
         raise ConfigError(f"{got}the range of a number, such as {EXAMPLE}")
-    is_integer = isinstance(low, int) and isinstance(high, int)
+    # A setting without a declared type, as in `env.kwargs`, is no integer if it is none in the config.
+    known = (low, high, value_at(written, asked.key))
+    is_integer = all(isinstance(value, int) for value in known if value is not None)
     return Range(asked.key, low, high, asked.is_log, is_integer)
 
 
 def value_at(config: Component, key: str) -> Any:
     """The number, text or Boolean at a dotted path, or the kind of the part there; None for anything else."""
-    value: Any = reduce(lambda part, name: getattr(part, name, None), key.split("."), config)
+    value: Any = reduce(_part_at, key.split("."), config)
     if isinstance(value, Component):
         return getattr(value, "kind", None)
     return value if isinstance(value, int | float | str) else None
+
+
+def _part_at(part: Any, name: str) -> Any:
+    """A setting of a part, or a value of a mapping, such as `env.kwargs`; None if there is none."""
+    return part.get(name) if isinstance(part, Mapping) else getattr(part, name, None)
 
 
 def described(axes: Sequence[Axis], values: Sequence[Any]) -> str:

@@ -91,7 +91,8 @@ def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], 
         for each in asked
     ]
     ends = [[sweep.points[0].config for sweep in sweeps] for sweeps in ends]
-    ranges = tuple(axis_of(each, configs) for each, configs in zip(asked, ends, strict=True))
+    written = config.points[0].config
+    ranges = tuple(axis_of(each, configs, written) for each, configs in zip(asked, ends, strict=True))
     rounds = _rounds(options.budget, options.batch, config.runs)
     # With a launcher, this process leaves the accelerators to workers.
     device = config.engine.device if options.launcher == "inline" else "cpu"

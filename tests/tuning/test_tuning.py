@@ -378,3 +378,18 @@ def test_the_metric_is_a_return_and_an_integer_may_fix_a_shape(monkeypatch):
     assert [task.is_least for task in asked] == [False, False, True]  # less of a time is better
     assert asked[0].recompiled == ("planner.iterations",)
     assert [each.is_integer for each in asked[0].ranges] == [True, False]
+
+
+def test_an_argument_of_a_gymnasium_environment_is_tuned(here, monkeypatch):
+    """It has no declared type: the config decides whether it is an integer, and without it the bounds."""
+    pytest.importorskip("gymnasium")
+    env = "{kind: gymnasium, id: Pendulum-v1, kwargs: {g: 9.81}}"
+    (here / "my.yaml").write_text(f"{{experiment: learning, env: {env}, learner: random, episodes: 1}}")
+    asked = []
+    monkeypatch.setattr("bojax.cli.tuning.search", lambda task, *_: asked.append(task) or 0)
+    assert main(["tune", "my.yaml", "env.kwargs.g=1:20"]) == 0
+    assert main(["tune", "my.yaml", "env.kwargs={}", "env.kwargs.g=1:20"]) == 0
+    assert [(each.low, each.high, each.is_integer) for task in asked for each in task.ranges] == [
+        (1, 20, False),
+        (1, 20, True),
+    ]
