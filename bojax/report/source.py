@@ -359,8 +359,8 @@ def load(folder: Path) -> Results:
 
     Raises:
         ResultsError: The folder is missing or holds no results, its manifest is damaged, its sweep has not
-            finished, or a table has changed since it was merged. Changed snapshots raise it when they are
-            read.
+            finished, all its runs have failed, or a table has changed since it was merged. Changed snapshots
+            raise it when they are read.
     """
     if not os.path.isdir(folder):  # unlike `Path.is_dir`, false for a name that no file can have
         what = "a file, not a results folder" if os.path.exists(folder) else "no such results folder"
@@ -372,6 +372,8 @@ def load(folder: Path) -> Results:
     manifest = read(read_manifest(folder), str(folder / MANIFEST))
     if manifest.status not in ("finished", "failed"):
         raise _unfinished(folder)
+    if manifest.status == "failed" and not (folder / "runs.parquet").exists():
+        raise ResultsError(f"{folder}: all runs failed: bojax status {folder} says why")
     writer = manifest.versions.get("bojax", __version__)  # earlier versions did not always record it
     if writer != __version__:
         say(f"note: {folder} was written by bojax {writer}; this is {__version__}")

@@ -113,6 +113,13 @@ def test_results_without_a_return_are_one_line(tmp_path, refusal):
     assert "unknown column return" in refusal(f"best {folder}")
 
 
+def test_results_whose_runs_have_all_failed_are_one_line(tmp_path, refusal):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    edit_manifest(folder, lambda manifest: manifest.update(status="failed"))
+    (folder / "runs.parquet").unlink()
+    assert f"{folder}: all runs failed: bojax status {folder} says why" in refusal(f"report {folder}")
+
+
 MANIFESTS = (
     (lambda m: m.update(points=5), "points: got 5; allowed: a list"),
     (lambda m: m.pop("points"), "points: missing or empty"),
