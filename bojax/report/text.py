@@ -93,6 +93,11 @@ def heading(name: str) -> str:
     return name.rsplit(".", 1)[-1].replace("_", " ")
 
 
+def sentence(text: str) -> str:
+    """A text with a capital letter at its beginning; names in it keep theirs."""
+    return text[:1].upper() + text[1:]
+
+
 def line(value: Any) -> str:
     """A nested value on one line, empty entries left out; equal items of a list are counted: `2 x a, b`."""
     if isinstance(value, Mapping):

@@ -61,7 +61,10 @@ def test_a_sweep_of_names_alone_has_no_such_figure():
         curves_and_panels(points)
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.35, "0.35"), (3000.0, "3k"), (17, "17"), (True, "true")])
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.35, "0.35"), (3000.0, "3k"), (17, "17"), (True, "true"), (None, "none"), ("my:Puck", "my:Puck")],
+)
 def test_values_are_short_enough_for_an_axis(value, text):
     assert _short(value) == text
 

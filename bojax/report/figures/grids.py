@@ -16,7 +16,7 @@ from bojax.report.drawing.maps import draw_scale
 from bojax.report.ranking import Measure, measure_of
 from bojax.report.source import Point, Results, short_value, swept_keys, swept_values
 from bojax.report.statistics import Floats
-from bojax.report.text import distinct, heading, is_number, minus, number, printed, shortened
+from bojax.report.text import distinct, heading, is_number, minus, number, plain, printed, sentence, shortened
 
 MAX_PANELS = 8
 
@@ -84,7 +84,7 @@ def settings(results: Results) -> Drawing:
     return Drawing(
         figure=figure,
         title="Effect of the settings",
-        caption=f"{measure.words.capitalize()} for each value of a swept setting: the best over all other "
+        caption=f"{sentence(measure.words)} for each value of a swept setting: the best over all other "
         f"settings (dots) and the mean over them (faint). Best of {len(points)} settings, selected by these "
         f"same runs: {name}, {number(float(means[winner]))}.",
         alt=f"Line charts of the {measure.words} over {', '.join(keys)}; the best point is {name}.",
@@ -120,7 +120,7 @@ def curves_and_panels(points: Sequence[Point]) -> tuple[list[str], list[str]]:
 
 def _short(value: Any) -> str:
     if not is_number(value):
-        return shortened(printed(str(value).lower()), 24)
+        return shortened(printed(plain(value)), 24)
     return f"{value / 1000:g}k" if abs(value) >= 1000 else f"{value:g}"
 
 
@@ -172,8 +172,8 @@ def heat_map(results: Results) -> Drawing:
     place += f" of {printed(name)}" if len(maps) > 1 else ""
     return Drawing(
         figure=figure,
-        title=f"{heading(vertical)} and {heading(horizontal)}".capitalize(),
-        caption=f"{measure.words.capitalize()} at each pair of values{over}. Frame: the best, {number(best)} "
+        title=sentence(f"{heading(vertical)} and {heading(horizontal)}"),
+        caption=f"{sentence(measure.words)} at each pair of values{over}. Frame: the best, {number(best)} "
         f"at {place}, chosen by these same runs. Empty: not run, or a run without a number.",
         alt=f"Map of the {measure.words} over {horizontal} and {vertical}; the best value is at {place}.",
     )
