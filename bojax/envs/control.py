@@ -11,6 +11,8 @@ from bojax.envs.base import Env, EnvState, TimeStep
 from bojax.envs.spaces import Box
 from bojax.numerics.choices import Choice, one_of
 
+_REWARDS = one_of("goal-only", "classic")
+
 
 class ControlStep(eqx.Module):
     """A step of a `ControlTask`."""
@@ -31,7 +33,7 @@ class ControlTask(Env):
     reward, unless the state is a failure. A step after which the simulation has diverged pays NaN.
     """
 
-    reward: Choice = eqx.field(converter=one_of("goal-only", "classic"))
+    reward: Choice = eqx.field(converter=_REWARDS)
 
     @abc.abstractmethod
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
@@ -66,7 +68,7 @@ class ControlTask(Env):
         success = self.is_goal(after) & ~failure
         # Both, so that runs with different rewards share a compiled program.
         classic, ends = self.classic(ControlStep(state, clipped, after, success, failure))
-        is_classic = self.reward.is_("classic")
+        is_classic = _REWARDS(self.reward).is_("classic")  # a class of one's own may declare it as text
         reward = jnp.where(is_classic, classic, success.astype(dtype) - failure.astype(dtype))
         reward = jnp.where(self.has_diverged(after), jnp.nan, reward)
         terminated = jnp.where(is_classic, ends, success | failure)

@@ -1,6 +1,8 @@
 """The continuous domains against Gymnasium, step by step, and against what the thesis says of their goals."""
 
+from dataclasses import fields
 from math import pi
+from typing import Literal
 
 import equinox as eqx
 import gymnasium
@@ -12,6 +14,7 @@ from scipy import stats
 
 from bojax.engine.build import build
 from bojax.envs import settings as envs
+from bojax.envs.mountain_car import MountainCar
 
 SCHEMAS = (envs.SinglePendulum, envs.MountainCar, envs.DoublePendulum, envs.CartpoleSwingUp)
 VARIANTS = [
@@ -239,6 +242,22 @@ def test_the_pendulum_is_upright_within_its_angle():
     assert upright(0.0499) and upright(-0.0499) and upright(2 * pi - 0.0499)
     assert not upright(0.0501) and not upright(-0.0501) and not upright(pi)
     assert upright(0.19, goal_angle=0.2)
+
+
+class Own(MountainCar):
+    """A task of one's own, which declares the reward as the page on robots does."""
+
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+
+
+@pytest.mark.parametrize("reward", ["goal-only", "classic"])
+def test_a_task_may_declare_its_reward_as_text(reward):
+    car = build(envs.MountainCar())
+    settings = {field.name: getattr(car, field.name) for field in fields(car)}
+    _, transition = Own(**settings | {"reward": reward}).step(
+        jax.random.key(0), jnp.asarray([-0.5, 0.0]), jnp.ones(1)
+    )
+    assert transition.reward == (0.0 if reward == "goal-only" else -1.0)
 
 
 def test_the_car_reaches_either_goal():
