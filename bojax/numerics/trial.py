@@ -63,14 +63,14 @@ def check_names(cls: type, base: type, overridable: Collection[str]) -> None:
         ):
             continue
         if isinstance(theirs, property):
-            fits, parameters = isinstance(given, property), ""
+            fits, has = isinstance(given, property), f"the property {name}"
         else:
             expected = list(inspect.signature(theirs).parameters)
             fits = callable(given) and list(inspect.signature(given).parameters) == expected
-            parameters = f"({', '.join(expected)})"
+            has = f"{name}({', '.join(expected)})"
         if not fits:
-            own_name, theirs_name = f"{cls.__name__}.{name}", f"{base.__name__} has {name}{parameters}"
-            raise TypeError(f"{own_name}: bojax's {theirs_name}; allowed: the same, or another name")
+            theirs_name = f"bojax's {base.__name__} has {has}"
+            raise TypeError(f"{cls.__name__}.{name}: {theirs_name}; allowed: the same, or another name")
 
 
 def computed(function: Callable[..., Any], *parts: Any) -> Any:

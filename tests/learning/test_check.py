@@ -189,7 +189,7 @@ def test_names_of_methods_of_learners_and_environments_are_not_given_to_helpers(
     assert_refused(
         [
             (declared(Learner, summary=lambda self: 1.0), r"^Own.summary: .* has summary\(self, state\);"),
-            (declared(Learner, columns=3), "^Own.columns: bojax's Learner has columns; allowed: the same"),
+            (declared(Learner, columns=3), "^Own.columns: bojax's Learner has the property columns;"),
             (declared(Env, adapter=lambda self, x: x), r"^Own.adapter: bojax's Env has adapter\(self\);"),
         ],
         TypeError,

@@ -252,7 +252,7 @@ def test_names_of_methods_of_bojax_are_not_given_to_helpers():
             (declared(reward=100.0), reward),
             (declared(__annotations__={"reward": Float[Array, ""]}), reward),
             (declared(row=property(lambda self: 1.0)), message.format("row", r"row\(self, world\)")),
-            (declared(step_columns=other), message.format("step_columns", "step_columns")),
+            (declared(step_columns=other), message.format("step_columns", "the property step_columns")),
         ],
         TypeError,
     )
