@@ -23,11 +23,11 @@ from bojax.experiments.step_rows import StepRows
 from bojax.experiments.targets import TARGET_COLUMNS, TargetProgress
 from bojax.experiments.value_maps import SCORE_COLUMNS, Maps, value_map
 from bojax.learning.base import ExplorationState, Learner, LearnerState
-from bojax.learning.check import check_learner, check_schedule, check_weight
+from bojax.learning.check import check_learner, check_schedule, check_spaces, check_weight
 from bojax.learning.schedules import Schedule
 from bojax.learning.tabular import TabularLearner
 from bojax.numerics.lanes import EPISODES
-from bojax.results.schema import Column, Table
+from bojax.results.schema import ADDED, Column, Table, column_names
 
 _OF_RUN = 2**32 - 1
 """Counter of the key of the properties that all episodes of a run share; episodes have smaller counters."""
@@ -136,9 +136,12 @@ class LearningRun(Experiment):
         with _located("env"):
             check_env(self.env, self._dtype)
         spaces = self.env.observation_space, self.env.action_space
-        self.learner.check_spaces(*spaces)
+        check_spaces(self.learner, *spaces)
         with _located("learner"):
             check_learner(self.learner, *spaces)
+        names = [*ADDED, *column_names(self.tables["runs"])]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"runs.parquet would have two columns {twice[0]}; allowed: names that differ")
         with _located("schedule"):
             check_schedule(self.schedule)
 

@@ -37,6 +37,10 @@ class Column:
 Table: TypeAlias = tuple[Column, ...]
 
 
+ADDED = ("point", "label", "variant", "run", "seed", "nans")
+"""Names of the columns that every `runs.parquet` has besides those of its experiment."""
+
+
 def column_names(table: Sequence[Column]) -> tuple[str, ...]:
     """The names of a table's columns, in order."""
     return tuple(column.name for column in table)

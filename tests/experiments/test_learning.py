@@ -23,6 +23,7 @@ from bojax.experiments.settings import Learning
 from bojax.experiments.value_maps import Visits
 from bojax.learning.base import ExplorationState, Learner
 from bojax.numerics.lanes import LANES
+from bojax.results.schema import Column
 from bojax.results.store import ResultsError
 from bojax.results.tables import KEYS, count_nans, to_arrow
 from tests.compiling import REPEATABLY
@@ -631,6 +632,41 @@ def learned(seed: int):
     """What a run on the chain has learned."""
     history = History(run_of(env=CHAIN), lanes=1, seed=seed)
     return lane_of(history.carry.learner, 0)
+
+
+class Twice(Learner):
+    """A learner with a column that every `runs.parquet` has."""
+
+    weight: Float[Array, ""]
+    name: str = eqx.field(static=True)
+    block: int = eqx.field(static=True, default=1)
+
+    @property
+    def exploration_weight(self):
+        return self.weight
+
+    @property
+    def columns(self):
+        return (Column(self.name, "float64"),)
+
+    def summary(self, state):
+        return {self.name: state}
+
+    def init(self, key, observation_space, action_space, capacity):
+        return self.weight
+
+    def act(self, key, state, observation, exploration):
+        return jnp.zeros((), jnp.int32), state
+
+    def values(self, state, observation, action):
+        return state, state
+
+
+@pytest.mark.parametrize("name", ["seed", "steps"])
+def test_a_learner_does_not_name_a_column_of_all_runs(name):
+    run = eqx.tree_at(lambda run: run.learner, run_of(), Twice(jnp.zeros(()), name))
+    with pytest.raises(ValueError, match=f"^runs.parquet would have two columns {name}; allowed: names that"):
+        run.__check_init__()
 
 
 def saved(folder, *states) -> str:

@@ -7,10 +7,11 @@ from jaxtyping import Array, Float
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.base import ExplorationState, Learner
-from bojax.learning.check import check_learner, check_schedule, check_weight
+from bojax.learning.check import check_learner, check_schedule, check_spaces, check_weight
 from bojax.learning.exploration_rewards import ExplorationReward
 from bojax.learning.schedules import Schedule
 from bojax.learning.tabular import AdditiveRewards
+from bojax.results.schema import Column
 from tests.refusals import assert_refused, without_annotation_checks
 
 
@@ -52,6 +53,17 @@ class Still(Learner):
     def values(self, state, observation, action):
         return self.wrong.get("values", (state["q"][0], state["q"][1]))
 
+    @property
+    def columns(self):
+        return self.wrong.get("columns", ())
+
+    def summary(self, state):
+        return self.wrong.get("summary", {})
+
+    def check_spaces(self, observation_space, action_space):
+        if self.wrong.get("spaces"):
+            observation_space.missing()
+
 
 ONE = jnp.ones(1, jnp.float32)
 BOX = Box(-ONE, ONE)
@@ -68,6 +80,17 @@ MISFITS = {
     r"a trial call failed: KeyError: 'u' \(test_check.py, line": {"misspelt": True},
     "values returns float32 of .*; allowed: Q and U": {"values": ONE[0]},
     rf"U of values is float; {SCALAR}": {"values": (ONE[0], 0.0)},
+    r"columns is \['best'\]; allowed: a tuple of bojax.results.schema.Column": {"columns": ["best"]},
+    r"summary returns \['best'\]; allowed: the names of columns, \[\]": {"summary": {"best": ONE[0]}},
+    r"summary returns \[\]; allowed: the names of columns, \['b'\]": {"columns": (Column("b", "bool"),)},
+    r"best of summary is float32 of shape \(1,\); allowed: float64 of shape \(\)": {
+        "columns": (Column("best", "float64"),),
+        "summary": {"best": ONE},
+    },
+    r"best of summary is float32 of shape \(\); allowed: int32 of shape \(\)": {
+        "columns": (Column("best", "int32"),),
+        "summary": {"best": ONE[0]},
+    },
 }
 
 
@@ -115,6 +138,8 @@ def test_misfits_of_a_learner_and_a_schedule_are_named_and_those_that_fit_pass()
         ]
     )
     q_learning = AdditiveRewards(weight, weight, weight, "first", 2, weight, Wrong())
+    failed = r"^learner: Still: check_spaces failed: AttributeError: .* \(test_check.py, line"
+    assert_refused([(lambda: check_spaces(learner({"spaces": True}), BOX, BOX), failed)])
     part = "^Wrong: a trial call failed: AttributeError: 'Wrong' object has no attribute 'missing'"
     assert_refused([(lambda: check_learner(q_learning, Discrete(3), Discrete(2)), part)])
     schedules = {
@@ -131,6 +156,7 @@ def test_misfits_of_a_learner_and_a_schedule_are_named_and_those_that_fit_pass()
             for message, wrong in schedules.items()
         )
     check_weight(learner({}))
+    check_spaces(learner({}), BOX, BOX)
     check_learner(learner({}), BOX, BOX)
     check_schedule(Half(weight.astype(jnp.float64)))
 
