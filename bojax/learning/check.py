@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from bojax.envs.spaces import Space
+from bojax.envs.spaces import Discrete, Space
 from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
 from bojax.learning.schedules import Schedule
 from bojax.models.checks import is_known
@@ -150,7 +150,7 @@ def _check_summary(learner: Learner, state: LearnerState) -> None:
 
 
 def _check_idle(learner: Learner, observations: Space, actions: Space) -> None:
-    """Refuse methods that change what they must not, and a saved learner that acts otherwise.
+    """Refuse methods that change what they must not, and actions that are another one once saved, or unknown.
 
     `observe`, `flush` and `end_episode` are also called for runs that have ended, until all runs of the batch
     have: what a run learned would depend on the others.
@@ -163,6 +163,8 @@ def _check_idle(learner: Learner, observations: Space, actions: Space) -> None:
             raise Misfit(f"{method} changes the state although {when}; allowed: the same state")
     if not np.array_equal(*acted, equal_nan=True):
         raise Misfit("act takes another action in what policy_state exports; allowed: the same action")
+    if isinstance(actions, Discrete) and not 0 <= acted[0] < actions.num:
+        raise Misfit(f"act takes the action {acted[0]}; allowed: 0 to {actions.num - 1}")
 
 
 def _idle(learner: Learner, observations: Space, actions: Space, key: Key[Array, ""]) -> Any:

@@ -206,6 +206,21 @@ def test_calls_that_must_not_change_a_learner_do_not():
     )
 
 
+class Beyond(Still):
+    """Takes the action with the number of actions, as if they were counted from 1."""
+
+    def act(self, key, state, observation, exploration):
+        return jnp.asarray(2, jnp.int32), state["q"][0]
+
+
+def test_an_action_outside_of_a_finite_space_is_refused():
+    """A table would take its last column instead."""
+    learner = Beyond(jnp.float32(0.5))
+    check_learner(learner, BOX, Discrete(3))
+    message = "^Beyond: act takes the action 2; allowed: 0 to 1$"
+    assert_refused([(lambda: check_learner(learner, BOX, Discrete(2)), message)])
+
+
 def test_names_of_methods_of_learners_and_environments_are_not_given_to_helpers():
     """A helper `summary` or `adapter` would be called by bojax after the run, or for a saved policy."""
 
