@@ -85,6 +85,9 @@ OVERRIDDEN = [
     # A new kind discards the settings of the old one.
     ("planner: {kind: kcbts, max_actions: 10}", "planner.kind=sbo", SBO()),
     ("planner: {kind: kcbts, max_actions: 10}", "planner.kind=kcbts", KCBTS(max_actions=10)),
+    # A mapping without a kind changes settings of the part that is there, not of the default part.
+    ("planner: {kind: sbo, iterations: 10}", "planner={depth:\u00a02}", SBO(iterations=10, depth=2)),
+    ("planner: sbo", "planner={depth:\u00a02}", SBO(depth=2)),
     # The order does not matter.
     (
         "planner: kcbts",
