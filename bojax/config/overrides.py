@@ -57,7 +57,8 @@ def apply(raw: Mapping[str, Any], override: Override) -> dict[str, Any]:
 def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any, where: str) -> dict[str, Any]:
     """A copy of `raw` with `value` at `path`; a new `kind` discards the settings of the old kind.
 
-    A mapping without `kind` changes settings of the part that is there. Messages call the setting `where`.
+    A mapping without `kind` changes settings of what is there, and an empty one empties it. Messages call the
+    setting `where`.
     """
     name, *rest = path
     if rest:
@@ -71,6 +72,6 @@ def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any, where: str
         value = assign(below, tuple(rest), value, where)
     elif name == "kind" and raw.get("kind") != value:
         return {"kind": value}
-    elif isinstance(value, Mapping) and "kind" not in value:
+    elif isinstance(value, Mapping) and value and "kind" not in value:
         value = merged(raw.get(name), value)
     return {**raw, name: value}
