@@ -9,6 +9,7 @@ import numbers
 import operator
 import reprlib
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -18,6 +19,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
+from bojax.numerics.trial import is_users, trial_of
 from bojax.text import one_line
 
 Numbers: TypeAlias = np.ndarray | np.generic | Sequence[Any] | float | int
@@ -187,16 +189,28 @@ def check_finite(name: str, module: PyTree) -> None:
 
 
 def check_takes(
-    name: str, function: Any, num_points: int, num_dims: int, dtype: Any, of: str = "the columns of X"
+    name: str,
+    function: Any,
+    num_points: int,
+    num_dims: int,
+    dtype: Any,
+    of: str = "the columns of X",
+    *,
+    is_number: bool = True,
 ) -> None:
-    """Refuse a function of points that has another number of dimensions."""
+    """Refuse a function of points that has another number of dimensions, or a kernel or mean of no number."""
     point = jax.ShapeDtypeStruct((num_dims,), dtype)
     try:
         if getattr(function, "num_dims", num_dims) != num_dims:
             raise ValueError(f"the function takes points of dimension {function.num_dims}")
-        jax.eval_shape(function, *[point] * num_points)
+        with trial_of(type(function).__name__) if is_users(function) else nullcontext():
+            value = jax.eval_shape(function, *[point] * num_points)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: does not accept points of dimension {num_dims} ({of})") from error
+        cause = f": {error}" if is_users(function) else ""
+        raise ValueError(f"{name}: does not accept points of dimension {num_dims} ({of}){cause}") from error
+    if is_number and getattr(value, "shape", None) != ():
+        found = getattr(value, "shape", type(value).__name__)
+        raise ValueError(f"{name}: returns {found} for a point; allowed: one number, of shape ()")
 
 
 def is_known(tree: PyTree) -> bool:

@@ -324,7 +324,7 @@ class BayesianLinearRegressor(_Regressor):
         check_kind("features", features, Features, "Polynomial(2, num_dims=1)")
         features = cast(features, dtype)
         check_finite("features", features)
-        check_takes("features", features, 1, X.shape[1], dtype)
+        check_takes("features", features, 1, X.shape[1], dtype, is_number=False)
         is_learned = check_flag("optimise", self.optimise)
         _warn_of_offsets(y=y, **({"X": X} if self.features is None else {}))
         precisions = tuple(

@@ -362,6 +362,20 @@ def test_python_numbers_and_lists_are_as_good_as_arrays():
     assert value == 3.0
 
 
+class OneForEachAxis(RBF):
+    """A kernel whose author forgot the sum over the axes."""
+
+    def __call__(self, x, y):
+        return jnp.exp(-0.5 * ((x - y) / self.lengthscale) ** 2)
+
+
+class Branching(RBF):
+    """A kernel with a branch of Python."""
+
+    def __call__(self, x, y):
+        return super().__call__(x, y) if x[0] > 0.0 else super().__call__(y, x)
+
+
 def test_numbers_that_make_no_sense_are_refused():
     box = {"low": [-1.0, -1.0], "high": [1.0, 1.0], "noise_variance": 0.1, "kernel": RBF(0.5)}
     sizes = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
@@ -369,6 +383,8 @@ def test_numbers_that_make_no_sense_are_refused():
     single = "kernel.lengthscale: got float32; allowed: float64, as `low`"
     settings = [
         ({"kernel": RBF([0.5] * 3)}, r"kernel: does not accept points of dimension 2 \(those of the box\)"),
+        ({"kernel": OneForEachAxis(0.5)}, r"kernel: returns \(2,\) for a point; allowed: one number"),
+        ({"kernel": Branching(0.5)}, r"dimension 2 \(those of the box\): Branching: .*allowed: jnp.where"),
         ({"kernel": RBF(0.0)}, "kernel.lengthscale: got 0; allowed: > 0"),
         ({"kernel": RBF(np.float32(0.5))}, single),
         ({"acquisition": UpperConfidenceBound(np.nan)}, "acquisition.kappa: got a number that is not finite"),
