@@ -163,6 +163,7 @@ _BOUNDS = {
     "greater_than_equal": ("ge", ">="),
     "less_than": ("lt", "<"),
     "less_than_equal": ("le", "<="),
+    "multiple_of": ("multiple_of", "a multiple of"),
 }
 
 

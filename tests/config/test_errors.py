@@ -67,6 +67,8 @@ dtype: float6
 => x.yaml: dtype: got "float6"; allowed: "float64" or "float32"; did you mean "float64"?
 planner: {kind: sbo, motions: {actions: 7}}
 => x.yaml: planner.motions.actions: got 7; allowed: 5, 9 or 17
+{experiment: learning, env: mountain-car, learner: {kind: emu-q, features: {num_features: 7}}}
+=> x.yaml: learner.features.num_features: got 7; allowed: a multiple of 2
 runs: 0
 => x.yaml: runs: got 0; allowed: >= 1
 seed: 4294967296
