@@ -180,8 +180,7 @@ def _axis(name: Any, given: Any) -> Axis:
     if isinstance(given, list):
         return _choice(name, given)
     wrong = SpaceError(
-        f'{name}: got {shown(given)}; allowed: a tuple (low, high) or (low, high, "log"), '
-        "or a list of choices"
+        f'{name}: got {given!r:.60}; allowed: a tuple (low, high) or (low, high, "log"), or a list of choices'
     )
     if not isinstance(given, tuple) or len(given) not in (2, 3) or (len(given) == 3 and given[2] != LOG):
         raise wrong
@@ -194,7 +193,7 @@ def _axis(name: Any, given: Any) -> Axis:
         raise SpaceError(f"{name}: got {low:g}; allowed: > 0, for the logarithm")
     are_integers = isinstance(given[0], Integral) and isinstance(given[1], Integral)
     if are_integers and max(abs(low), abs(high)) >= INTEGER_LIMIT:
-        raise SpaceError(f"{name}: got {shown(given)}; allowed: integers below 2^53 in magnitude")
+        raise SpaceError(f"{name}: got {given!r:.60}; allowed: integers below 2^53 in magnitude")
     number = int if are_integers else float
     return Range(name, number(low), number(high), is_log, are_integers)
 
@@ -203,7 +202,7 @@ def _choice(name: str, given: list[Any]) -> Choice:
     if len(given) < 2:
         raise SpaceError(f"{name}: got {shown(given)}; allowed: at least two choices")
     for each in given:
-        if not isinstance(each, Hashable):
+        if not isinstance(each, Hashable) or (isinstance(each, float) and math.isnan(each)):
             raise SpaceError(f"{name}: got {shown(each)}; allowed: choices such as texts and numbers")
     if len(set(given)) < len(given):
         raise SpaceError(f"{name}: got {shown(given)}; allowed: choices that differ, unlike 1 and True")
