@@ -40,6 +40,8 @@ def check_sweep(sweep: Sweep, file: str) -> None:
         values = dict(claim.test)
         if not any(isinstance(value, Window) for value in values.values()):
             _check_column(sweep, values.get("column"), f"{where}.test.column")
+        if "over" in values:
+            _require(values["over"], swept, f"{where}.test.over", "; no swept setting")
         known = {point.variant if claim.test.by == "variant" else point.label for point in sweep.points}
         for name in claim.test.names:
             _require(name, known, f"{where}.test", f"; unknown {claim.test.by}")

@@ -271,6 +271,14 @@ class TestFiles:
         load(label, f"{mean}, {window}")
         load("base: {}\naxes: {planner: {kcbts: {}}}", mean.replace("emu-q", "kcbts"))
 
+    def test_the_setting_over_which_a_claim_grows_is_swept(self, write):
+        test = "{kind: growth, label: kcbts, column: return, over: planner.depth, expected: linear}"
+        claim = f"[{{id: a, source: b, claim: c, test: {test}}}]"
+        write("x.yaml", f"{{base: parking, axes: {{planner.iterations: [1, 2]}}, claims: {claim}}}")
+        message = r'claims.0.test.over: got "planner.depth"; no swept setting; allowed: planner.iterations'
+        with pytest.raises(ConfigError, match=message):
+            load_sweep("x.yaml")
+
     @pytest.mark.parametrize(
         ("report", "message"),
         [
