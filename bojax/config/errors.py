@@ -86,7 +86,8 @@ def did_you_mean(name: Any, names: Iterable[str]) -> str:
     A name that continues the given one at a hyphen, as `fig-5.3-taxi` continues `fig-5.3`, is nearest.
     """
     name, names = str(name)[:MAX_SHOWN], sorted(names)
-    near = _continued(name, names) or difflib.get_close_matches(name, names, n=1)
+    close = (match for each in (name, name.lower()) for match in difflib.get_close_matches(each, names, n=1))
+    near = _continued(name, names) or [*close]
     return f'; did you mean "{near[0]}"?' if near else ""
 
 

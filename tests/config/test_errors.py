@@ -36,6 +36,8 @@ planner: {kind: random, depth: 3}
 => x.yaml: planner: unknown key (a setting of experiment=planning); allowed: …
 planner: kcbt
 => x.yaml: planner: got "kcbt"; unknown planner; allowed: …; did you mean "kcbts"?
+planner: KCBTS
+=> x.yaml: planner: got "KCBTS"; unknown planner; allowed: …; did you mean "kcbts"?
 planner: {kind: sbo, motions: {kind: spline}}
 => x.yaml: planner.motions: got "spline"; unknown motions; allowed: …; did you mean "splines"?
 experiment: plan
