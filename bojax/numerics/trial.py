@@ -148,6 +148,13 @@ def require_arrays(part: Any) -> None:
             )
 
 
+_TRACED = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerIntegerConversionError,
+)
+
+
 @contextlib.contextmanager
 def trial_of(name: str) -> Iterator[None]:
     """Raise what goes wrong in a trial call of a user's class as a ValueError of one line."""
@@ -155,10 +162,10 @@ def trial_of(name: str) -> Iterator[None]:
         yield
     except Misfit as error:
         raise ValueError(f"{name}: {error}") from error
-    except jax.errors.ConcretizationTypeError as error:  # its message is long, and about JAX
+    except _TRACED as error:  # its message is long, and about JAX
         raise ValueError(
-            f"{name}: a trial call failed: a value that JAX traces is used in an if, a while or as a number; "
-            f"allowed: jnp.where or jax.lax.cond ({place_of(error)})"
+            f"{name}: a trial call failed: a value that JAX traces is used in an if, a while, as a number or "
+            f"by NumPy; allowed: jnp.where, jax.lax.cond or jax.numpy ({place_of(error)})"
         ) from error
     except Exception as error:  # a user's class may raise anything
         raise ValueError(f"{name}: a trial call failed: {error_at_line(error)}") from error

@@ -56,6 +56,10 @@ class Line(StateProblem):
             moved = moved + jax.pure_callback(draw, shape, moved, vmap_method="sequential")
         if self.mistake == "python's if" and action[0] > 0.0:
             return state, -1.0, False
+        if self.mistake == "numpy":
+            moved = moved + np.sin(state)
+        if self.mistake == "python's list":
+            moved = moved + [0.0, 1.0][(state[0] > 0.0).astype(int)]
         if self.mistake == "two values":
             return moved, -1.0
         if self.mistake == "python's Boolean":
@@ -164,16 +168,21 @@ def test_shipped_problems_would_pass(kind, monkeypatch):
     check_model(problem)
 
 
+TRACED = (
+    "a trial call failed: .* traces is used in an if.* or by NumPy; allowed: jnp.where, .* or jax.numpy "
+    r"\(test_state_checks.py, line"
+)
+
+
 def test_a_problem_with_a_mistake_is_refused_in_one_line():
     mistakes = (
         ("actions", "actions: a random action is not in the action space"),
         ("bounds", "actions: a random action is not in the action space; allowed: finite bounds"),
         ("reward", "initial or step: a state or a reward is not finite"),
         ("value", "heuristic_value: the value of a state is not finite"),
-        (
-            "python's if",
-            "a trial call failed: .* traces is used in an if.*jnp.where.*test_state_checks.py, line",
-        ),
+        ("python's if", TRACED),
+        ("numpy", TRACED),
+        ("python's list", TRACED),
         ("two values", "step: allowed: three values"),
         ("filter", "filter: allowed: two values"),
         ("python's random numbers", "not pure: two calls with equal arguments differ"),
