@@ -158,8 +158,8 @@ class Mixed(ActionSpace):
     levels: Float[Array, "L"]
 
     def __check_init__(self) -> None:
-        is_box, dtype = isinstance(self.box, Box), getattr(self.levels, "dtype", None)
-        if not is_box or getattr(self.levels, "ndim", 0) != 1 or dtype != self.box.low.dtype:
+        shape, dtype = getattr(self.levels, "shape", ()), getattr(self.levels, "dtype", None)
+        if not isinstance(self.box, Box) or len(shape) != 1 or not shape[0] or dtype != self.box.low.dtype:
             got = f"{type(self.box).__name__} and {described(self.levels)}"
             raise ValueError(f"Mixed: got {got}; allowed: a Box, and a vector of levels with its dtype")
 

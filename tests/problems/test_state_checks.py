@@ -237,6 +237,7 @@ def test_parts_of_a_mixed_space_have_one_precision():
             (box, [0.0, 1.0], "Box and list"),
             (box, jnp.asarray([0, 1]), r"Box and int64 of shape \(2,\)"),
             (box, jnp.zeros((2, 1)), r"Box and float64 of shape \(2, 1\)"),
+            (box, jnp.zeros(0), r"Box and float64 of shape \(0,\)"),
             (jnp.ones(2), jnp.zeros(2), r"\w+ and float64 of shape \(2,\)"),
         ]
         assert_refused([(partial(Mixed, *each), message.format(got)) for *each, got in parts])
