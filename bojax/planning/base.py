@@ -10,6 +10,7 @@ from typing_extensions import override
 from bojax.motions.base import Motions
 from bojax.problems.base import Action, Belief, Problem
 from bojax.problems.path_problem import PathProblem
+from bojax.problems.pose import PoseProblem
 from bojax.results.schema import Table
 
 
@@ -95,3 +96,9 @@ class PathPlanner(Planner, Generic[M]):
                 "allowed: a planner on beliefs of particles"
             )
         problem.check_motions(self.motions)
+        objective = getattr(self, "objective", None)
+        if objective is not None and isinstance(problem, PoseProblem):
+            raise ValueError(
+                f"planner.objective: got {type(objective).__name__}; allowed: null, since "
+                f"{type(problem).__name__} has no field"
+            )

@@ -308,6 +308,10 @@ def test_planners_and_problems_with_other_actions_are_refused():
                 "^planner: .* does not plan paths, which Parking needs",
             ),
             (lambda: PlanningEpisode(parking(), Forward()), "^planner: .* allowed: a PathPlanner"),
+            (
+                lambda: PlanningEpisode(parking(), build(kinds("planner")["explorer"]())),
+                "^planner.objective: got UncertaintyObjective; allowed: null, since Parking has no field",
+            ),
             (lambda: Counter(num_particles=0), "^num_particles: got 0; allowed: >= 1"),
         ]
     )
