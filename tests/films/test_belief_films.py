@@ -18,18 +18,18 @@ from tests.report.synthetic import write_folder
 STEPS, ROOM, DRAWN = 4, 6, 16
 
 
-def belief_results(folder, kind="light-dark", outline=None, recorded=True):
+def belief_results(folder, kind="light-dark", outline=None, recorded=True, num_steps=STEPS):
     """Two runs of one point: a state that moves by 1 a step, and a belief whose spread is halved."""
     size = 1 if kind == "light-dark" else 2
     spread = np.linspace(-1.0, 1.0, DRAWN)[:, None] * np.ones(size)
     rows = np.full((ROOM + 1, 1 + DRAWN, size), np.nan)
-    for step in range(STEPS + 1):
+    for step in range(num_steps + 1):
         rows[step] = step + np.concatenate([np.zeros((1, size)), 3.0 * 0.5**step * spread])
     sketch = {"fixed": np.where(np.isnan(rows), np.nan, 2.0), "moving": rows}
     arrays = {f"0-{run}-sketch": sketch for run in (0, 1) if recorded}
     common = {"point": 0, "label": "pomcpow"}
-    runs = [common | {"run": run, "return": -4.0, "steps": STEPS} for run in (0, 1)]
-    steps = [{"step": step + 1, "accumulated_reward": -1.5 * (step + 1)} for step in range(STEPS)]
+    runs = [common | {"run": run, "return": -4.0, "steps": num_steps} for run in (0, 1)]
+    steps = [{"step": step + 1, "accumulated_reward": -1.5 * (step + 1)} for step in range(num_steps)]
     tables = {"runs": runs, "steps": [common | {"run": run} | step for run in (0, 1) for step in steps]}
     config = {"kind": "planning", "problem": {"kind": kind}, "planner": {"kind": "pomcpow"}}
     point = {"index": 0, "label": "pomcpow", "variant": "pomcpow", "swept": {}, "config": config}
@@ -98,6 +98,11 @@ def test_the_figure_shows_the_first_recorded_run(tmp_path, kind, panels):
         and "run 0, 4 steps" in drawing.alt
     )
     assert drawing.files["png"]
+
+
+def test_the_figure_shows_each_step_of_a_short_episode_once(tmp_path):
+    drawing = particles(load(belief_results(tmp_path / "results", "vdp-tag", num_steps=2)))
+    assert [axes.get_title() for axes in drawing.figure.axes] == ["step 0", "step 1", "step 2"]
 
 
 def test_what_was_not_recorded_is_not_drawn(tmp_path):

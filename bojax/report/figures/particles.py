@@ -20,24 +20,29 @@ _SHARES = (0.0, 1 / 3, 2 / 3, 1.0)
 
 
 def particles(results: Results) -> Drawing:
-    """One row per point: the belief at four times of an episode, or one panel with all steps of a number."""
+    """One row per point: the belief at up to four times, or one panel with all steps of a number."""
     found, note = points_with(
         results, lambda point: sketches(results, point), "no recorded sketch of a state in arrays/", MAX_ROWS
     )
     shown = [(point, *next(iter(kept.items()))) for point, kept in found]
-    columns = 1 if all(is_by_step(sketch) for _, _, sketch in shown) else len(_SHARES)
+    lasts = [num_steps(sketch) for _, _, sketch in shown]
+    if all(is_by_step(sketch) for _, _, sketch in shown):
+        times = [[last] for last in lasts]
+    else:  # in a short episode, several shares are of one step
+        times = [sorted({round(share * last) for share in _SHARES}) for last in lasts]
+    columns = max(map(len, times))
     figure, grid = style.figure((1.9 if columns == 1 else 1.35) * len(shown) + 0.5, len(shown), columns)
     looks, names = style.looks([each[0] for each in shown]), style.drawn_names([each[0] for each in shown])
     told = []
-    for row, name, look, (point, run, sketch) in zip(grid, names, looks, shown, strict=True):
-        last = num_steps(sketch)
-        steps = [last] if columns == 1 else [round(share * last) for share in _SHARES]
-        for axes, step in zip(row, steps, strict=True):
+    for row, name, look, steps, (point, run, sketch) in zip(grid, names, looks, times, shown, strict=True):
+        for axes in row[len(steps) :]:
+            axes.set_axis_off()
+        for axes, step in zip(row, steps, strict=False):
             set_stage(axes, sketch, point.outline)
             draw_step(axes, sketch, step, 0.6)
             axes.set_title("" if columns == 1 else f"step {step}", pad=3, fontsize=9)
         row[0].set_ylabel(style.wrapped(name, 19), color=look["color"], labelpad=3)
-        told.append(f"{point.name}: run {run}, {last} steps")
+        told.append(f"{point.name}: run {run}, {steps[-1]} steps")
     if columns == 1:
         grid[-1, 0].set_xlabel("step")
     figure.legend(
