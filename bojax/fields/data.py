@@ -171,7 +171,7 @@ def _read_table(file: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
             with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
         elif path.suffix in (".csv", ".xyz", ".txt"):
-            table, names = parse_table(read_within(TEXT, path, file).decode(), ignores_text)
+            table, names = parse_table(read_within(TEXT, path, file).decode("utf-8-sig"), ignores_text)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     if not isinstance(table, np.ndarray):

@@ -101,7 +101,7 @@ def _read_ascii(file: str) -> Raster:
     """A raster of ESRI, whose first row is the northernmost; the projection is that of a `.prj` file."""
     import numpy as np
 
-    lines = read_within(TEXT, Path(file), file).decode().splitlines()
+    lines = read_within(TEXT, Path(file), file).decode("utf-8-sig").splitlines()
     header: dict[str, float] = {}
     while lines and lines[0].split()[:1] and lines[0].split()[0][0].isalpha():
         key, value = (lines.pop(0).split() + [""])[:2]

@@ -45,7 +45,7 @@ def written(tmp_path, name, text):
 
 
 def test_an_ascii_raster_begins_in_the_north(tmp_path):
-    raster = read_raster(written(tmp_path, "grid.asc", ASCII))
+    raster = read_raster(written(tmp_path, "grid.asc", "\ufeff" + ASCII))  # Windows begins a text so
     np.testing.assert_array_equal(raster.values, VALUES)
     np.testing.assert_array_equal(raster.x, [105.0, 115.0, 125.0])
     np.testing.assert_array_equal(raster.y, [205.0, 215.0])
@@ -106,6 +106,8 @@ def test_xyz_cells_in_any_order(tmp_path):
         "X;Y;Depth\n1;2;3,5\n4;5;NA\n",
         "station\ty\tx\tdepth\n7\t2\t1\t3.5\n8\t5\t4\t\n",
         "1 2 3.5\n4 5 nan\n",
+        "\ufeffx,y,depth\n1,2,3.5\n",
+        "\ufeff1,2,3.5\n",
     ],
 )
 def test_points_with_any_delimiter_and_named_columns(tmp_path, text):
