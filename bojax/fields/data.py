@@ -166,11 +166,11 @@ def _read_table(file: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
 
     path, names = Path(file), list[str]()
     with in_file(file):
-        if path.suffix == ".npy":
+        if (suffix := path.suffix.lower()) == ".npy":
             # Mapped rather than read: a header may claim more numbers than the file or the memory holds.
             with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
-        elif path.suffix in (".csv", ".xyz", ".txt"):
+        elif suffix in (".csv", ".xyz", ".txt"):
             table, names = parse_table(read_within(TEXT, path, file).decode("utf-8-sig"), ignores_text)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")

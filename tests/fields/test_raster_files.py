@@ -372,6 +372,11 @@ def test_rasters_that_are_refused(tmp_path):
         Projection.of(DEGREES, (400_000.0, 0.0, 400_100.0, 100.0))
 
 
+def test_the_ending_of_a_name_may_be_in_capitals(tmp_path):
+    path = written(tmp_path, "A.CSV", "1,2\n3,4\n")
+    np.testing.assert_array_equal(read_raster(path).values, [[1, 2], [3, 4]])
+
+
 def test_missing_data_are_not_data(tmp_path):
     path = written(tmp_path, "a.csv", "1,2\n-9999,4\n")
     assert np.isnan(read_array(path, allows_holes=True)).sum() == 1
