@@ -13,18 +13,19 @@ def parse_table(text: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
     """The numbers `[N, C]` of a table and the names of its columns, none if it has no header.
 
     Columns are separated by semicolons, tabs, commas or spaces; with semicolons, a comma is a decimal point.
-    Text after # is a comment. Empty cells and NA are NaN. With `ignores_text`, columns without a number,
-    such as times or names, are left out. Messages name the line of the text, from 1.
+    Text after # is a comment, quotation marks are left out, and empty cells and NA are NaN. With
+    `ignores_text`, columns without a number, such as times or names, are left out. Messages name the line of
+    the text, from 1.
     """
     import numpy as np
 
-    lines = [line.partition("#")[0].strip(" \r") for line in text.splitlines()]
+    lines = [line.partition("#")[0].replace('"', "").strip(" \r") for line in text.splitlines()]
     numbers = [number for number, line in enumerate(lines, start=1) if line]
     lines = [line for line in lines if line]
     delimiter = _delimiter(lines[0]) if lines else None
     names: list[str] = []
     if lines and not _is_numbers(_cells(lines[0], delimiter)):
-        names = [cell.strip('"') for cell in _cells(lines[0], delimiter)]
+        names = _cells(lines[0], delimiter)
         lines, numbers = lines[1:], numbers[1:]
     if not lines:
         raise ValueError("holds no numbers")

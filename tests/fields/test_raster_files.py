@@ -108,6 +108,7 @@ def test_xyz_cells_in_any_order(tmp_path):
         "1 2 3.5\n4 5 nan\n",
         "\ufeffx,y,depth\n1,2,3.5\n",
         "\ufeff1,2,3.5\n",
+        '"x","y","depth"\n"1","2","3.5"\n',
     ],
 )
 def test_points_with_any_delimiter_and_named_columns(tmp_path, text):
