@@ -163,7 +163,11 @@ def _axis_of(arrays: dict[str, Any], names: tuple[str, ...], size: int) -> "tupl
     import numpy as np
 
     for name in names:
-        if name in arrays and arrays[name].shape == (size,):
+        if name in arrays and arrays[name].ndim == 1:
+            if len(arrays[name]) != size:
+                each = "column" if names is X_NAMES else "row"
+                got = f"{name}: got {len(arrays[name])} positions"
+                raise ValueError(f"{got}; allowed: {size}, one for each {each}")
             return np.asarray(arrays[name], float), name
     low, high = (arrays.get(f"{names[0]}{end}") for end in ("min", "max"))
     if low is not None and high is not None and low.size == high.size == 1:

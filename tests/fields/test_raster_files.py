@@ -369,6 +369,9 @@ def test_rasters_that_are_refused(tmp_path):
     np.savez(tmp_path / "two.npz", a=np.ones((2, 2)), b=np.ones((2, 2)))
     with pytest.raises(ValueError, match="holds 2 tables"):
         read_raster(str(tmp_path / "two.npz"))
+    np.savez(tmp_path / "edges.npz", z=np.ones((2, 2)), x=[0.0, 5.0, 10.0], y=[0.0, 5.0])
+    with one_line(ValueError, "edges.npz: x: got 3 positions; allowed: 2, one for each column$"):
+        read_raster(str(tmp_path / "edges.npz"))
     with pytest.raises(ValueError, match="longitude, then latitude"):
         Projection.of(DEGREES, (400_000.0, 0.0, 400_100.0, 100.0))
 
