@@ -153,6 +153,8 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     """
     known = [end for end in (*demand.starts, *demand.ends) if end is not None]
     ground = Ground.of(area, known[0] if known else None, demand.turning_radius)
+    if not all(shapely.dwithin(ground.shape, shapely.Point(end), 1e-6) for end in known):
+        raise ValueError("the starts and ends lie in several parts of the area; allowed: points of one part")
     if demand.budget is not None:
         for start, end in zip(demand.starts, demand.ends, strict=True):
             check_budget(ground, demand.budget, start, end)

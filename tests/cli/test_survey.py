@@ -244,6 +244,15 @@ def test_mistakes_are_one_line_and_write_nothing(here, refusal):
         assert refusal(f"survey {words}").startswith(message)
 
 
+def test_starts_and_ends_in_several_parts_are_refused(here, refusal):
+    parts = [[[x, 0.0], [x + 10.0, 0.0], [x + 10.0, 10.0], [x, 10.0]] for x in (0.0, 20.0)]
+    parts = {"type": "MultiPolygon", "coordinates": [[part] for part in parts], "crs": None}
+    (here / "parts.json").write_text(json.dumps(parts))
+    for words in ("--start 1,1 --end 25,5", "--start 1,1 --start 25,5 --robots 2 --budget 50"):
+        message = refusal(f"survey parts.json {words}")
+        assert message.startswith("the starts and ends lie in several parts of the area; allowed: points")
+
+
 def test_an_earlier_survey_must_vary(here, refusal):
     (here / "flat.csv").write_text("x,y,z\n" + "\n".join(f"{i},{i % 7},3" for i in range(30)))
     (here / "few.csv").write_text("x,y,z\n1,2,3\n")
