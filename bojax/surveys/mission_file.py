@@ -48,7 +48,8 @@ def write_mission(mission: "Mission", path: Path) -> None:
         f"route{number or ''}": nothing if robot.route is None else robot.route.waypoints
         for number, robot in enumerate(mission.robots)
     }
-    write_arrays(path, {"plain": np.asarray(json.dumps(plain)), **arrays})
+    text = json.dumps(plain, default=np.generic.item)  # users may give numbers of NumPy
+    write_arrays(path, {"plain": np.asarray(text), **arrays})
 
 
 def read_mission(path: str | Path) -> tuple[tuple[Area, list[Robot], RouteOptions], dict[str, Any]]:

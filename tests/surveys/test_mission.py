@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -304,6 +305,12 @@ def test_a_mission_that_has_left_the_area_and_used_its_budget_is_loaded(tmp_path
     assert other.remaining == 0.5
     np.testing.assert_array_equal(other.position, [-1.0, 3.0])
     assert_same_plan(other, survey)
+
+
+def test_a_mission_with_numbers_of_numpy_is_saved(tmp_path):
+    options = replace(QUICK, steps=np.int64(8), turning_radius=np.float32(0.5))
+    other = resumed(mission(relearn_every=np.int64(20), options=options), tmp_path)
+    assert (other.relearn_every, other.options) == (20, replace(QUICK, turning_radius=0.5))
 
 
 PART = Area.rectangle(3.0, 3.0, 6.0, 6.0)
