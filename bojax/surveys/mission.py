@@ -132,12 +132,13 @@ class Mission:
             raise ValueError(f"area: got {area!r:.60}; allowed: an Area, such as bojax.read_place(FILE).area")
         if robots not in range(1, MOST_ROBOTS + 1):
             raise ValueError(f"robots: got {robots}; allowed: 1 to {MOST_ROBOTS}")
+        robots = int(robots)  # 2.0 is in the range, too
         apart = numbers("separation", separation, ">= 0")
         if apart.ndim or not (np.isfinite(apart) and apart >= 0):
             raise ValueError(f"separation: got {separation}; allowed: >= 0")
         separation = float(apart)
-        if not (isinstance(seed, int | np.integer) and seed >= 0):
-            raise ValueError(f"seed: got {seed}; allowed: an integer >= 0")
+        if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**63):
+            raise ValueError(f"seed: got {seed}; allowed: an integer >= 0 and < 2^63")
         if not (options is None or isinstance(options, RouteOptions)):
             raise ValueError(f"options: got {options!r:.60}; allowed: RouteOptions")
         starts = positions("start", start, robots)
@@ -376,7 +377,7 @@ class Mission:
             robot = 0
         if robot is None or robot not in range(len(self.robots)):
             raise ValueError(f"robot: got {robot}; allowed: 0 to {len(self.robots) - 1}")
-        its = self.robots[robot]
+        its = self.robots[int(robot)]
         points = rows("points", points)
         values = numbers("values", values).reshape(-1)
         pose = None if pose is None else numbers("pose", pose, "x and y in metres").reshape(-1)[:2]

@@ -26,11 +26,11 @@ def numbers(name: str, given: Any, allowed: str = "numbers") -> np.ndarray:
     """An array of numbers, NaN where a mask of NumPy is set.
 
     Raises:
-        ValueError: It holds text, or rows of different lengths.
+        ValueError: It holds text, integers beyond float64, or rows of different lengths.
     """
     try:
         return np.ma.filled(np.ma.asarray(given, float), np.nan)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name}: not an array of numbers; allowed: {allowed}") from error
 
 

@@ -154,7 +154,8 @@ def test_points_of_another_form_are_refused(points, message):
 
 
 @pytest.mark.parametrize(
-    "change", [{"values": ["deep"]}, {"values": [1j]}, {"pose": "here"}, {"times": ["noon"]}]
+    "change",
+    [{"values": ["deep"]}, {"values": [1j]}, {"values": [10**400]}, {"pose": "here"}, {"times": ["noon"]}],
 )
 def test_an_observation_that_is_not_of_numbers_changes_nothing(change):
     survey = mission()
@@ -269,6 +270,7 @@ def test_a_damaged_file_is_one_line(tmp_path):
         ({"separation": [1.0, 2.0]}, r"separation: got \[1.0, 2.0\]; allowed: >= 0"),
         ({"seed": "a"}, "seed: got a; allowed: an integer >= 0"),
         ({"seed": -1}, "seed: got -1; allowed: an integer >= 0"),
+        ({"seed": 2**70}, f"seed: got {2**70}; allowed: an integer >= 0 and < 2\\^63"),
         ({"options": {"steps": 5}}, "options: got {'steps': 5}; allowed: RouteOptions"),
         ({"robots": 0}, "robots: got 0; allowed: 1 to 4"),
         ({"robots": 5}, "robots: got 5; allowed: 1 to 4"),

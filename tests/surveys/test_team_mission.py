@@ -120,10 +120,10 @@ def test_a_team_that_is_saved_between_two_steps_goes_on(tmp_path):
 
 
 def test_measurements_belong_to_their_robot():
-    survey = team(start=[1.0, 1.0])
+    survey = team(start=[1.0, 1.0], robots=2.0)
     survey.observe([[2.0, 1.0]], [1.0], times=[5.0], robot=1)
     survey.observe([[1.0, 3.0]], [1.0], times=[4.0], robot=0)
-    survey.observe([[2.0, 1.5]], [1.0], times=[4.0], robot=1)
+    survey.observe([[2.0, 1.5]], [1.0], times=[4.0], robot=1.0)
     assert survey.counts["time_backwards"] == 1
     assert [robot.remaining for robot in survey.robots] == pytest.approx([10.0, 10.5])
     np.testing.assert_array_equal([robot.position for robot in survey.robots], [[1.0, 3.0], [2.0, 1.5]])
