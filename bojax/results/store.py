@@ -60,8 +60,8 @@ def explained(path: Path, action: str = "written") -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            message = f"{path}: the disk is full; free some space, then run again with --resume"
-            raise ResultsError(message, exit_code=1) from error
+            advice = "free some space, then run the command again, a sweep with --resume"
+            raise ResultsError(f"{path}: the disk is full; {advice}", exit_code=1) from error
         code = 2 if error.errno in _WRONG_PATH else 1
         raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}", code) from error
 

@@ -183,5 +183,6 @@ def test_a_disk_that_is_full_is_one_line_each_time(tmp_path):
         ended = subprocess.run([sys.executable, "-c", FULL, tmp_path], capture_output=True, text=True)
     finally:
         subprocess.run(["umount", "-l", str(tmp_path)], check=True)
-    full = f"{tmp_path}/one: the disk is full; free some space, then run again with --resume"
+    advice = "free some space, then run the command again, a sweep with --resume"
+    full = f"{tmp_path}/one: the disk is full; {advice}"
     assert (ended.stdout.splitlines(), ended.stderr) == ([full] * 4, "")
