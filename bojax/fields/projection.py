@@ -51,7 +51,8 @@ class Projection:
         if not (-180 <= x_min and x_max <= 360 and -90 < y_min and y_max < 90 and x_max - x_min < 180):
             corners = f"({x_min:g}, {y_min:g}) to ({x_max:g}, {y_max:g})"
             raise ValueError(
-                f"got degrees from {corners}; allowed: longitude, then latitude, of a small area"
+                f"got degrees from {corners}; allowed: longitude, then latitude, of a small area (across the "
+                "date line, longitudes up to 360)"
             )
         latitude = math.radians(middle[1])
         bent = 1.0 - _SQUARED_ECCENTRICITY * math.sin(latitude) ** 2

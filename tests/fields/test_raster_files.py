@@ -372,8 +372,10 @@ def test_rasters_that_are_refused(tmp_path):
     np.savez(tmp_path / "edges.npz", z=np.ones((2, 2)), x=[0.0, 5.0, 10.0], y=[0.0, 5.0])
     with one_line(ValueError, "edges.npz: x: got 3 positions; allowed: 2, one for each column$"):
         read_raster(str(tmp_path / "edges.npz"))
-    with pytest.raises(ValueError, match="longitude, then latitude"):
-        Projection.of(DEGREES, (400_000.0, 0.0, 400_100.0, 100.0))
+    message = "longitude, then latitude, of a small area .across the date line, longitudes up to 360"
+    for extent in ((400_000.0, 0.0, 400_100.0, 100.0), (-179.9, 10.0, 179.9, 11.0)):
+        with one_line(ValueError, message):
+            Projection.of(DEGREES, extent)
 
 
 def test_the_ending_of_a_name_may_be_in_capitals(tmp_path):
