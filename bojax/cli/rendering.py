@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from bojax.cli.parser import Parser, integer, path
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.errors import UserError
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ _EXAMPLES = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     args = _parser(name).read(words)
+    if args.at is not None and args.still is None:
+        raise UsageError(f"bojax {name}: --at: allowed only with --still")
 
     from rich.console import Console
     from rich.progress import Progress
@@ -42,7 +44,7 @@ def main(name: str, words: Sequence[str]) -> int:
             results, args.point, args.run, args.episode, args.model, lambda chosen: _replay(results, chosen)
         )
         if args.still is not None:
-            write_still(film, args.still, args.at)
+            write_still(film, args.still, 1.0 if args.at is None else args.at)
             print(args.still)
             return 0
         console = Console(stderr=True)
@@ -96,5 +98,5 @@ def _parser(name: str) -> Parser:
     parser.option("--model", "FILE", "MJCF file of a custom robot", path)
     parser.option("--still", "FILE", "write a PNG image without text instead of a film", path)
     at = "position of the image in the film, from 0 to 1 (default: 1)"
-    parser.option("--at", "SHARE", at, _share, default=1.0)
+    parser.option("--at", "SHARE", at, _share)
     return parser

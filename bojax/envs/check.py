@@ -38,6 +38,19 @@ def check_env(env: Env, dtype: DTypeLike) -> None:
     _check_bounds("action_space", env.action_space)
 
 
+def offered(env: Env) -> Env:
+    """The environment that an interface of another library steps, with properties of a run from key 0.
+
+    Raises:
+        ValueError: It is not an environment of bojax, or steps on the host.
+    """
+    if not isinstance(env, Env):
+        raise ValueError(f'env: got {env!r:.60}; allowed: an environment, such as bojax.part("mountain-car")')
+    if env.is_hosted:
+        raise ValueError(f"{type(env).__name__}: is stepped on the host; allowed: a compiled environment")
+    return env.of_run(jax.random.key(0))
+
+
 def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None:
     """Check the first step of an episode; `number` has the precision of the run."""
     if not isinstance(env.max_steps, int) or env.max_steps < 1:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.envs.base import Action, Env, EnvState, Observation
+from bojax.envs.check import offered
 from bojax.envs.spaces import Box, Space
 
 
@@ -64,9 +65,7 @@ class GymnaxEnv:
     """
 
     def __init__(self, env: Env):
-        if env.is_hosted:
-            raise ValueError(f"{type(env).__name__}: is stepped on the host; allowed: a compiled environment")
-        self.default_params = env.of_run(jax.random.key(0))
+        self.default_params = offered(env)
 
     @property
     def name(self) -> str:

@@ -167,7 +167,7 @@ def trial_of(name: str) -> Iterator[None]:
             f"{name}: a trial call failed: a value that JAX traces is used in an if, a while, as a number or "
             f"by NumPy; allowed: jnp.where, jax.lax.cond or jax.numpy ({place_of(error)})"
         ) from error
-    except Exception as error:  # a user's class may raise anything
+    except (Exception, SystemExit) as error:  # a user's class may raise anything
         raise ValueError(f"{name}: a trial call failed: {error_at_line(error)}") from error
 
 

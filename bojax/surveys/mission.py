@@ -155,8 +155,8 @@ class Mission:
         expected = int(min(MOST_EXACT, budget / self.spacing)) if robots == 1 else 0
         noise_variance = above_zero("noise_variance", noise_variance)
         self.measured = Measurements((lengthscale, 1.0, noise_variance), expected)
-        if relearn_every is not None:
-            above_zero("relearn_every", relearn_every)
+        if relearn_every is not None and above_zero("relearn_every", relearn_every) % 1:
+            raise ValueError(f"relearn_every: got {relearn_every}; allowed: a whole number > 0")
         self.relearn_every = relearn_every
         self.goal = goal_of(goal)
         if self.goal.region is not None:

@@ -17,6 +17,7 @@ from bojax.envs.gymnasium import GymnasiumEnv
 from bojax.envs.gymnasium_vector import GymnasiumVectorEnv
 from bojax.envs.gymnax import GymnaxEnv
 from bojax.envs.spaces import Box
+from tests.refusals import assert_refused, without_annotation_checks
 
 LIMIT = 5
 
@@ -67,6 +68,20 @@ def test_all_episodes_of_a_view_share_what_the_episodes_of_a_run_share(key):
     seen = [single.reset(seed=1)[0], single.reset()[0], *vector.reset(seed=2)[0]]
     seen += [*vector.step(np.zeros((2, 1), np.float32))[0], view.reset(jax.random.key(3))[0]]
     np.testing.assert_array_equal(np.stack(seen).astype(np.float32), start)
+
+
+class Hosted(Hidden):
+    """The same, as if it were stepped on the host."""
+
+    is_hosted = True
+
+
+@pytest.mark.parametrize("view", [GymnasiumEnv, functools.partial(GymnasiumVectorEnv, num_envs=2), GymnaxEnv])
+def test_what_is_no_compiled_environment_is_refused(view):
+    named = "^env: got 'mountain-car'; allowed: an environment, such as bojax.part"
+    hosted = "^Hosted: is stepped on the host; allowed: a compiled environment$"
+    with without_annotation_checks():
+        assert_refused([(lambda: view("mountain-car"), named), (lambda: view(Hosted(None)), hosted)])
 
 
 def expected(env, keys, actions):

@@ -234,6 +234,7 @@ def test_a_still_is_a_moment_of_the_film(folder, tmp_path, capsys, refusal, shar
         same = [np.array_equal(np.asarray(image), np.asarray(film.still(share))) for share in at]
     assert same.index(True) == round(float(share) * 29)
     assert "--at" in refusal(f"render {folder} --still {path} --at 2")
+    assert "--at: allowed only with --still" in refusal(f"render {folder} --at {share}")
 
 
 def test_it_needs_no_jax(folder):

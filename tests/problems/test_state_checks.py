@@ -56,6 +56,8 @@ class Line(StateProblem):
             moved = moved + jax.pure_callback(draw, shape, moved, vmap_method="sequential")
         if self.mistake == "python's if" and action[0] > 0.0:
             return state, -1.0, False
+        if self.mistake == "exit":
+            raise SystemExit(3)
         if self.mistake == "numpy":
             moved = moved + np.sin(state)
         if self.mistake == "python's list":
@@ -181,6 +183,7 @@ def test_a_problem_with_a_mistake_is_refused_in_one_line():
         ("reward", "initial or step: a state or a reward is not finite"),
         ("value", "heuristic_value: the value of a state is not finite"),
         ("python's if", TRACED),
+        ("exit", "a trial call failed: SystemExit: 3"),
         ("numpy", TRACED),
         ("python's list", TRACED),
         ("two values", "step: allowed: three values"),

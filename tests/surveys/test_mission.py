@@ -270,6 +270,7 @@ def test_a_damaged_file_is_one_line(tmp_path):
         ({"separation": [1.0, 2.0]}, r"separation: got \[1.0, 2.0\]; allowed: >= 0"),
         ({"seed": "a"}, "seed: got a; allowed: an integer >= 0"),
         ({"seed": -1}, "seed: got -1; allowed: an integer >= 0"),
+        ({"relearn_every": 1.5}, "relearn_every: got 1.5; allowed: a whole number > 0"),
         ({"seed": 2**70}, f"seed: got {2**70}; allowed: an integer >= 0 and < 2\\^63"),
         ({"options": {"steps": 5}}, "options: got {'steps': 5}; allowed: RouteOptions"),
         ({"robots": 0}, "robots: got 0; allowed: 1 to 4"),
