@@ -135,6 +135,7 @@ def _draw_map(
         cmap=QUIET,
         edgecolors="face",
         linewidths=0.2,
+        zorder=0,  # below the border
     )
     cells.set_clim(0.0, float(maps[name].max()))
     cells.set_rasterized(True)

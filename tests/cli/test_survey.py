@@ -312,6 +312,15 @@ def test_the_legend_names_the_best_of_both_methods_and_hides_no_curve(best):
     assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
 
 
+def test_the_border_is_drawn_above_the_cells_of_a_map():
+    ring = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 0.0]])
+    maps = {"outline": ring, "ring_ends": np.array([4]), "grid": np.ones((1, 2)), "after": np.ones(1)}
+    with style.settings():
+        _, axes, _ = surveying._draw_map({"grid_spacing": 1.0}, maps, "after", "deviation")
+    (cells,), (border,) = axes.collections, axes.patches
+    assert cells.get_zorder() < border.get_zorder()
+
+
 def check_planners(config, sweep) -> None:
     """The planners of a config and of a sweep fit the one problem of both, which is built once."""
     points = load_config(str(config)).points + load_sweep(str(sweep)).points
