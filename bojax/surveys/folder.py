@@ -56,9 +56,12 @@ def write_survey(
     content = {
         "area": place.name,
         "read": [{"file": each.file, "label": each.label} for each in read],
-        "rule": "Best is the least error."
-        if demand.budget is not None or demand.turning_radius
-        else "All cover the area: best is the shortest.",
+        "rule": (
+            "Best is the least error."
+            if demand.budget is not None or demand.turning_radius
+            else "All cover the area: best is the shortest."
+        )
+        + (" Last are those that come closer than the separation." if demand.separation else ""),
         "goal": {"kind": demand.goal.kind, "meaning": demand.goal.meaning},
         "grid_spacing": survey.grid_spacing,
         "settings": _settings(place, model, survey, demand, speed),

@@ -125,6 +125,7 @@ def test_two_robots_keep_their_budgets_ends_and_distance(tmp_path):
     mowers = [each for each in survey["candidates"] if each["method"] == "lawnmower"]
     assert len(mowers) >= 8 and all(len(each["routes"]) == 2 for each in mowers)
     assert survey["candidates"][0]["errors"][-1] <= mowers[0]["errors"][-1]
+    assert survey["rule"].endswith(" Last are those that come closer than the separation.")
 
 
 def test_the_least_expected_error_over_a_region_is_proposed_and_curves_fall(tmp_path):
