@@ -83,8 +83,8 @@ def plan(args: argparse.Namespace, budget: float | None, out: Path, command: str
             place = place.noted(note)
         for note in place.notes:
             print(f"note: {note}")
-        files = write_survey(out, place, model, survey, demand, args.speed, command)
 
+    files = write_survey(out, place, model, survey, demand, args.speed, command)
     from bojax.report.surveying import build_survey_page, survey_summary
 
     page = build_survey_page(out)

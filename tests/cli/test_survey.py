@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import signal
 from functools import partial
 from xml.etree import ElementTree
 
@@ -252,6 +254,17 @@ def test_starts_and_ends_in_several_parts_are_refused(here, refusal):
     for words in ("--start 1,1 --end 25,5", "--start 1,1 --start 25,5 --robots 2 --budget 50"):
         message = refusal(f"survey parts.json {words}")
         assert message.startswith("the starts and ends lie in several parts of the area; allowed: points")
+
+
+def test_an_interrupt_while_a_survey_is_planned_leaves_no_folder(tmp_path, monkeypatch):
+    def interrupted(*given, **options):
+        os.kill(os.getpid(), signal.SIGINT)
+        return plan(*given, **options)
+
+    plan = planning.plan_survey
+    monkeypatch.setattr(planning, "plan_survey", interrupted)
+    assert main(["survey", "100x100", "--lawnmower", "--out", str(tmp_path / "out")]) == 130
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_earlier_survey_must_vary(here, refusal):
