@@ -14,6 +14,7 @@ from bojax.api.command import run_in_child
 from bojax.api.errors import BojaxError, in_one_line
 from bojax.api.plain_values import path_of
 from bojax.api.start import Folder
+from bojax.config.errors import shown
 from bojax.report.surveying import SURVEY, survey_summary
 from bojax.results.folder import dated_folder, require_empty
 from bojax.results.store import read_json
@@ -77,7 +78,7 @@ def survey(
     speed: float | None = None,
     start: Sequence[float] | Sequence[Sequence[float]] | None = None,
     end: Sequence[float] | Sequence[Sequence[float]] | None = None,
-    avoid: Sequence[str | Path] = (),
+    avoid: str | Path | Sequence[str | Path] = (),
     below: float | None = None,
     prior: str | Path | None = None,
     goal: str = "map",
@@ -99,7 +100,7 @@ def survey(
         speed: Speed of the robot, m/s.
         start: First point, in the coordinates of `area`; of all robots, or a list with one for each.
         end: Last point, or points.
-        avoid: Files of no-go zones.
+        avoid: File of no-go zones, or files.
         below: Of a raster, only cells with values below this number are surveyed.
         prior: File of an earlier survey of the field, from which the model is learned.
         goal: Places that count: `"map"` for all, `"hotspots"` for the highest tenth, `"threshold=V"` for
@@ -117,8 +118,10 @@ def survey(
     Raises:
         BojaxError: The input is wrong; the message is one line.
     """
-    name = "x".join(f"{side:g}" for side in area) if isinstance(area, tuple) else path_of(area, "area")
     with in_one_line():
+        allowed = "a path, or a tuple (width, height)"
+        is_size = isinstance(area, tuple)
+        name = "x".join(f"{side:g}" for side in area) if is_size else path_of(area, "area", allowed)
         folder = dated_folder("survey") if out is None else Path(path_of(out, "out"))
         require_empty(folder)
     options = {"budget": budget, "time": time, "speed": speed, "below": below, "prior": prior}
@@ -127,9 +130,14 @@ def survey(
     options |= {"robots": robots, "separation": separation, "turning-radius": turning_radius}
     words = [f"--{option}={value}" for option, value in options.items() if value is not None]
     for option, given in (("start", start), ("end", end)):
-        points = np.empty((0, 2)) if given is None else np.atleast_2d(np.asarray(given, float))
+        try:
+            points = np.empty((0, 2)) if given is None else np.atleast_2d(np.asarray(given, float))
+        except (TypeError, ValueError) as error:
+            allowed = "two numbers, or a list of two for each robot"
+            raise BojaxError(f"{option}: got {shown(given)}; allowed: {allowed}") from error
         words += [f"--{option}={','.join(repr(float(value)) for value in point)}" for point in points]
-    words += [f"--avoid={file}" for file in avoid] + (["--lawnmower"] if lawnmower else [])
+    zones = [avoid] if isinstance(avoid, str | Path) else avoid
+    words += [f"--avoid={file}" for file in zones] + (["--lawnmower"] if lawnmower else [])
     ended = run_in_child(["survey", name, *words], None)
     if ended.code != 0:
         raise BojaxError(ended.error, "\n".join(ended.lines))

@@ -25,9 +25,18 @@ def test_a_rectangle_is_surveyed(tmp_path):
         bojax.survey((200.0, 100.0), out=tmp_path / "out")
 
 
-def test_a_mistake_is_an_error_of_one_line(tmp_path):
-    with pytest.raises(bojax.BojaxError, match=r"^--start: got 500,5, which is not in the area"):
-        bojax.survey((200.0, 100.0), start=(500.0, 5.0), out=tmp_path / "out")
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"start": (500.0, 5.0)}, "--start: got 500,5, which is not in the area"),
+        ({"start": "1,2"}, 'start: got "1,2"; allowed: two numbers, or a list of two for each robot'),
+        ({"avoid": "farm.kml"}, "farm.kml: No such file or directory"),
+        ({"area": [200.0, 100.0]}, "area: got .*; allowed: a path, or a tuple .width, height."),
+    ],
+)
+def test_a_mistake_is_an_error_of_one_line(tmp_path, change, message):
+    with pytest.raises(bojax.BojaxError, match=f"^{message}"):
+        bojax.survey(**({"area": (200.0, 100.0), "out": tmp_path / "out"} | change))
 
 
 def test_the_area_of_a_mission_is_read_from_a_file(tmp_path):
