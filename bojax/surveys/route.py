@@ -54,6 +54,12 @@ class RouteOptions:
     anisotropy: float = 3.0
     turning_radius: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name, least in (("waypoints", 2), ("restarts", 1), ("steps", 1), ("models", 1)):
+            number = getattr(self, name)
+            if not (isinstance(number, int | np.integer) and number >= least):
+                raise ValueError(f"options: got {number} {name}; allowed: an integer >= {least}")
+
 
 @dataclass(frozen=True)
 class Route:

@@ -50,6 +50,19 @@ def test_a_route_is_drawn_in_to_its_budget_between_its_ends(start, end, budget):
         np.testing.assert_allclose(route[-1], end)
 
 
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"steps": 0}, "options: got 0 steps; allowed: an integer >= 1"),
+        ({"waypoints": 1}, "options: got 1 waypoints; allowed: an integer >= 2"),
+        ({"models": 2.5}, "options: got 2.5 models; allowed: an integer >= 1"),
+    ],
+)
+def test_options_that_cannot_be_used_are_refused(option, message):
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        RouteOptions(**option)
+
+
 def test_more_waypoints_do_not_change_a_polyline():
     longer = with_waypoints(LAWNMOWER, 20)
     assert longer.shape == (20, 2)
