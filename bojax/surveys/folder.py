@@ -61,7 +61,11 @@ def write_survey(
             if demand.budget is not None or demand.turning_radius
             else "All cover the area: best is the shortest."
         )
-        + (" Last are those that come closer than the separation." if demand.separation else ""),
+        + (
+            " Last are those that come closer than the separation."
+            if demand.separation and demand.robots > 1
+            else ""
+        ),
         "goal": {"kind": demand.goal.kind, "meaning": demand.goal.meaning},
         "grid_spacing": survey.grid_spacing,
         "settings": _settings(place, model, survey, demand, speed),
