@@ -171,7 +171,9 @@ def _read_table(file: str, ignores_text: bool = False) -> "tuple[np.ndarray, lis
             with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
         elif suffix in (".csv", ".xyz", ".txt"):
-            table, names = parse_table(read_within(TEXT, path, file).decode("utf-8-sig"), ignores_text)
+            # Names may be written in another encoding; numbers are the same in all that are common.
+            text = read_within(TEXT, path, file).decode("utf-8-sig", errors="replace")
+            table, names = parse_table(text, ignores_text)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     if not isinstance(table, np.ndarray):

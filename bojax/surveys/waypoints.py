@@ -19,8 +19,8 @@ def write_waypoints(
 
     The CSV file has x and y in metres, the coordinates of the area's file if they differ, longitude and
     latitude if the area has a place on the Earth, and the distance from the start. The GeoJSON file holds
-    a line; without a place on the Earth, its coordinates are metres. The plan and the GPX file need such a
-    place.
+    a line, whose longitudes go on beyond 180 across the date line; without a place on the Earth, its
+    coordinates are metres. The plan and the GPX file need such a place.
     """
     degrees = None if projection.crs is None else projection.to_degrees(waypoints)
     columns = {"x": waypoints[:, 0], "y": waypoints[:, 1]}
@@ -31,13 +31,20 @@ def write_waypoints(
     rows = zip(*columns.values(), strict=True)
     lines = [",".join(format(value, each) for value, each in zip(row, formats, strict=True)) for row in rows]
     files = {f"{stem}.csv": "\n".join([",".join(columns), *lines, ""])}
-    files[f"{stem}.geojson"] = json.dumps(_line(waypoints if degrees is None else degrees, degrees is None))
+    line = waypoints if degrees is None else _unwrapped(degrees)
+    files[f"{stem}.geojson"] = json.dumps(_line(line, degrees is None))
     if degrees is not None:
         files[f"{stem}.plan"] = json.dumps(_plan(degrees, speed), indent=1)
         files[f"{stem}.gpx"] = _gpx(degrees)
     for name, content in files.items():
         write_content(folder / name, content)
     return [folder / name for name in files]
+
+
+def _unwrapped(degrees: np.ndarray) -> np.ndarray:
+    """The same places with longitudes that go on across the date line: a jump goes around the Earth."""
+    longitudes = np.unwrap(degrees[:, 0], period=360.0)
+    return np.column_stack([longitudes + 360.0 * (longitudes.min() < -180.0), degrees[:, 1]])
 
 
 def _line(coordinates: np.ndarray, is_local: bool) -> dict:

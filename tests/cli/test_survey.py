@@ -247,6 +247,17 @@ def test_mistakes_are_one_line_and_write_nothing(here, refusal):
         assert refusal(f"survey {words}").startswith(message)
 
 
+def test_a_line_goes_on_across_the_date_line(tmp_path):
+    corners = [[179.99, 10.0], [180.01, 10.0], [180.01, 10.01], [179.99, 10.01]]
+    (tmp_path / "strait.geojson").write_text(geojson(corners))
+    planned(out := tmp_path / "out", str(tmp_path / "strait.geojson"), "--spacing", "200")
+    line = shapely.from_geojson((out / "waypoints.geojson").read_text())
+    west, south, east, north = line.bounds
+    assert 179.99 <= west < 180.0 < east <= 180.01 and 10.0 <= south < north <= 10.01
+    table = np.genfromtxt(out / "waypoints.csv", delimiter=",", names=True)
+    assert table["longitude"].min() < -179.98 and table["longitude"].max() > 179.98
+
+
 def test_starts_and_ends_in_several_parts_are_refused(here, refusal):
     parts = [[[x, 0.0], [x + 10.0, 0.0], [x + 10.0, 10.0], [x, 10.0]] for x in (0.0, 20.0)]
     parts = {"type": "MultiPolygon", "coordinates": [[part] for part in parts], "crs": None}

@@ -116,6 +116,12 @@ def test_points_with_any_delimiter_and_named_columns(tmp_path, text):
     np.testing.assert_array_equal(points.rows, [[1.0, 2.0, 3.5]])
 
 
+def test_names_of_columns_may_be_in_another_encoding_than_utf_8(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes("x;y;Höhe\n1;2;3,5\n".encode("latin-1"))
+    np.testing.assert_array_equal(read_points(str(path)).rows, [[1.0, 2.0, 3.5]])
+
+
 SAMPLES = """time,station,x,y,Temp,salinity,ns
 2024-05-01T10:00:00Z,S0,1,2,0.5,3.5,1.7e18
 2024-05-01T10:00:01Z,,4,5,,30,1.7e18
