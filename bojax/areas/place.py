@@ -151,8 +151,8 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         values = None if raster is None else values_of(area, raster, raster.crs, projection)
     if projection.distortion > TOLERANCE:
         notes.append(
-            f"{area}: is so large that distances from west to east are off by up to "
-            f"{100 * projection.distortion:.0f}% in its north and south."
+            f"{area}: is so large that distances are off by up to {100 * projection.distortion:.0f}% at its "
+            "ends."
         )
     return Place(area, to_area(local), projection, tuple(notes), values)
 

@@ -21,7 +21,7 @@ class Projection:
     """A frame in metres whose axes are those of the coordinates: x to the east and y to the north.
 
     The map is linear, so a regular grid stays one, and exact in both directions. Lengths are right in the
-    middle of the area; those along x are off by `distortion` at its northern and southern ends.
+    middle of the area, and off by up to `distortion` at its corners.
     """
 
     crs: str | None  # coordinate reference system; None for metres without a place on the Earth
@@ -47,7 +47,10 @@ class Projection:
         x_min, y_min, x_max, y_max = extent
         middle = (x_min + x_max) / 2, (y_min + y_max) / 2
         if crs != DEGREES:
-            return cls(crs, (x_min, y_min), _scale(crs, middle), file=file)
+            across, along = scale = _scale(crs, middle)
+            at_corners = [_scale(crs, (x, y)) for x in (x_min, x_max) for y in (y_min, y_max)]
+            distortion = max(max(abs(x / across - 1.0), abs(y / along - 1.0)) for x, y in at_corners)
+            return cls(crs, (x_min, y_min), scale, distortion, file)
         if not (-180 <= x_min and x_max <= 360 and -90 < y_min and y_max < 90 and x_max - x_min < 180):
             corners = f"({x_min:g}, {y_min:g}) to ({x_max:g}, {y_max:g})"
             raise ValueError(

@@ -322,6 +322,19 @@ def test_a_frame_has_true_lengths_and_goes_back(crs):
         assert np.linalg.norm(local[end] - local[0]) == pytest.approx(length, rel=1e-3)
 
 
+def test_the_distortion_of_a_map_projection_is_that_of_a_length_at_a_corner():
+    pyproj = pytest.importorskip("pyproj")
+    x, y = (1.0e6, 1.2e6), (7.0e6, 7.6e6)
+    frame = Projection.of("EPSG:3857", (x[0], y[0], x[1], y[1]))
+    lengths = []
+    for corner in y:
+        ends = frame.to_local(np.array([[x[0], corner], [x[0] + 1e3, corner]]))
+        true = pyproj.Geod(ellps="WGS84").inv(*frame.to_degrees(ends).ravel())[2]
+        lengths.append(true / np.linalg.norm(ends[1] - ends[0]) - 1.0)
+    assert frame.distortion == pytest.approx(np.abs(lengths).max(), abs=1e-3) and frame.distortion > 0.03
+    assert Projection.of("EPSG:32633", (4e5, 5.9e6, 4.2e5, 5.92e6)).distortion < 1e-3
+
+
 def test_a_large_raster_is_thinned(tmp_path):
     values = np.arange(10_000.0).reshape(100, 100)
     np.save(tmp_path / "a.npy", values)
