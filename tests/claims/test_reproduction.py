@@ -284,6 +284,7 @@ def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
         damage(folder)
     errors = [{"error": None}, {"error": "out | of memory"}, {"error": "out | of memory"}]
     failed = write(tmp_path / "failed", [claim("f", "Fig. 3.3")], status="failed", chunks=errors)
+    (failed / "runs.parquet").touch()  # some of its runs have ended
     page, text = pages(tmp_path, [*folders, failed, tmp_path / "nowhere"])
     rows = re.findall(r"^\| `(.*?)` \| (.*) \|$", text.split("## All claims")[0], re.MULTILINE)
     assert [name for name, _ in rows] == [*broken, "nowhere", "failed"]
