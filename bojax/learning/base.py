@@ -62,7 +62,6 @@ class Episode(eqx.Module):
 
 
 _OVERRIDABLE = (
-    "exploration_weight",
     "check_spaces",
     "init",
     "act",

@@ -231,6 +231,11 @@ def test_names_of_methods_of_learners_and_environments_are_not_given_to_helpers(
         [
             (declared(Learner, summary=lambda self: 1.0), r"^Own.summary: .* has summary\(self, state\);"),
             (declared(Learner, columns=3), "^Own.columns: bojax's Learner has the property columns;"),
+            # The property would be taken for the default of the field.
+            (
+                declared(Learner, __annotations__={"exploration_weight": Float[Array, ""]}),
+                "^Own.exploration_weight: bojax's Learner has the property exploration_weight;",
+            ),
             (declared(Env, adapter=lambda self, x: x), r"^Own.adapter: bojax's Env has adapter\(self\);"),
         ],
         TypeError,
