@@ -263,7 +263,7 @@ def _planning(limit: int) -> list[_Measure]:
         return share_cell(success.astype(bool) & (steps <= limit))
 
     def when(success: np.ndarray, steps: np.ndarray) -> Cell:
-        return among_cell(np.where(success.astype(bool), steps, np.nan), statistics.time_interval)
+        return mean_cell(steps[success.astype(bool)], empty="never", interval=statistics.time_interval)
 
     return [
         _Measure("final return", "return", mean_cell),
@@ -274,14 +274,16 @@ def _planning(limit: int) -> list[_Measure]:
     ]
 
 
-def mean_cell(values: np.ndarray) -> Cell:
+def mean_cell(
+    values: np.ndarray, *, empty: str = MISSING, interval: _IntervalOf = statistics.mean_interval
+) -> Cell:
     """Mean with its interval; NaN if any value is NaN, which is never skipped."""
     if not values.size:
-        return Cell(MISSING)
+        return Cell(empty)
     bad = int((~np.isfinite(values.astype(np.float64))).sum())
     if bad:
         return Cell("NaN", f"in {counted(bad, 'run')}")
-    return interval_cell(statistics.mean_interval(values))
+    return interval_cell(interval(values))
 
 
 def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
