@@ -14,8 +14,8 @@ class Record(Schema, frozen=True):
     runs: int = Field(
         default=8,
         ge=0,
-        description="number of runs of every point, from the first, whose arrays are saved, "
-        "and in learning the steps",
+        description="number of runs of every point, from the first, whose arrays (in learning, also steps) "
+        "are saved",
     )
     learners: bool = Field(default=False, description="whether the learners of these runs are saved too")
 

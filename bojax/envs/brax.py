@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
 from bojax.envs.base import Env, TimeStep
-from bojax.envs.check import offered
+from bojax.envs.check import interface_env
 from bojax.envs.spaces import Box
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 
@@ -122,7 +122,7 @@ class BojaxEnv(brax_envs.Env):
         observations, actions = env.observation_space, env.action_space
         if not (isinstance(observations, Box) and isinstance(actions, Box)):
             raise ValueError(f"{type(env).__name__}: Brax takes vectors as observations and actions")
-        self.env = offered(env)
+        self.env = interface_env(env)
         self._num_observations, self._actions = observations.num_dims, actions
 
     @override

@@ -38,7 +38,7 @@ def check_env(env: Env, dtype: DTypeLike) -> None:
     _check_bounds("action_space", env.action_space)
 
 
-def offered(env: Env) -> Env:
+def interface_env(env: Env) -> Env:
     """The environment that an interface of another library steps, with properties of a run from key 0.
 
     Raises:

@@ -17,7 +17,7 @@ from bojax.config.errors import note_once
 from bojax.config.extras import needed
 from bojax.envs.adapter import Adapter
 from bojax.envs.base import Env
-from bojax.envs.check import offered
+from bojax.envs.check import interface_env
 from bojax.envs.spaces import Space
 from bojax.numerics.trial import Misfit
 from bojax.text import error_line, one_line
@@ -51,7 +51,7 @@ class GymnasiumEnv(gymnasium.Env):
     metadata = {"render_modes": []}
 
     def __init__(self, env: Env):
-        self.env = offered(env)
+        self.env = interface_env(env)
         self.observation_space = to_gymnasium(env.observation_space)
         self.action_space = to_gymnasium(env.action_space)
         self._episode = self._state = None

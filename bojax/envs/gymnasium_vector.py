@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from bojax.config.extras import needed
 from bojax.envs.base import Action, Env
-from bojax.envs.check import offered
+from bojax.envs.check import interface_env
 from bojax.envs.gymnax import Episode, GymnaxEnv
 
 with needed("gymnasium", "gym"):
@@ -44,7 +44,7 @@ class GymnasiumVectorEnv(VectorEnv):
     def __init__(self, env: Env, num_envs: int):
         if num_envs < 1:
             raise ValueError(f"num_envs: got {num_envs}; allowed: >= 1")
-        self.env = offered(env)
+        self.env = interface_env(env)
         self.num_envs = num_envs
         self.single_observation_space = to_gymnasium(env.observation_space)
         self.single_action_space = to_gymnasium(env.action_space)

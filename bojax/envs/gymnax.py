@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.envs.base import Action, Env, EnvState, Observation
-from bojax.envs.check import offered
+from bojax.envs.check import interface_env
 from bojax.envs.spaces import Box, Space
 
 
@@ -65,7 +65,7 @@ class GymnaxEnv:
     """
 
     def __init__(self, env: Env):
-        self.default_params = offered(env)
+        self.default_params = interface_env(env)
 
     @property
     def name(self) -> str:

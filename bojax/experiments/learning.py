@@ -27,7 +27,7 @@ from bojax.learning.check import check_learner, check_schedule, check_spaces, ch
 from bojax.learning.schedules import Schedule
 from bojax.learning.tabular import TabularLearner
 from bojax.numerics.lanes import EPISODES
-from bojax.results.schema import ADDED, Column, Table, column_names
+from bojax.results.schema import COMMON_COLUMNS, Column, Table, column_names
 
 _OF_RUN = 2**32 - 1
 """Counter of the key of the properties that all episodes of a run share; episodes have smaller counters."""
@@ -139,7 +139,7 @@ class LearningRun(Experiment):
         check_spaces(self.learner, *spaces)
         with _located("learner"):
             check_learner(self.learner, *spaces)
-        names = [*ADDED, *column_names(self.tables["runs"])]
+        names = [*COMMON_COLUMNS, *column_names(self.tables["runs"])]
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"runs.parquet would have two columns {twice[0]}; allowed: names that differ")
         with _located("schedule"):

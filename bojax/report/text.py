@@ -93,7 +93,7 @@ def heading(name: str) -> str:
     return name.rsplit(".", 1)[-1].replace("_", " ")
 
 
-def sentence(text: str) -> str:
+def capitalised(text: str) -> str:
     """A text with a capital letter at its beginning; names in it keep theirs."""
     return text[:1].upper() + text[1:]
 

@@ -37,7 +37,7 @@ class Column:
 Table: TypeAlias = tuple[Column, ...]
 
 
-ADDED = ("point", "label", "variant", "run", "seed", "nans")
+COMMON_COLUMNS = ("point", "label", "variant", "run", "seed", "nans")
 """Names of the columns that every `runs.parquet` has besides those of its experiment."""
 
 

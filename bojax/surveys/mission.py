@@ -126,7 +126,7 @@ class Mission:
 
         Raises:
             ValueError: A number is out of range, the start or the end is not a position in the area, the
-                budget does not reach from the start to the end, or the goal is not known or elsewhere.
+                budget does not reach from the start to the end, or the goal is unknown or out of the area.
         """
         if not isinstance(area, Area):
             raise ValueError(f"area: got {area!r:.60}; allowed: an Area, such as bojax.read_place(FILE).area")

@@ -19,7 +19,7 @@ from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
 from bojax.report.template import fill
-from bojax.report.text import counted, heading, joined, number, plain, sentence
+from bojax.report.text import capitalised, counted, heading, joined, number, plain
 from bojax.results.store import MANIFEST, ResultsError, read_json, read_manifest, write_content
 from bojax.tuning.ranges import described
 
@@ -254,7 +254,7 @@ def _draw_slices(tuning: Tuning) -> Drawing:
     label_panels(grid, None, f"mean {heading(tuning.plan.metric)}")
     return Drawing(
         figure,
-        sentence(f"{tuning.measure.words} over each setting"),
+        capitalised(f"{tuning.measure.words} over each setting"),
         "Line and band: posterior mean of a score without noise and its 95% interval, given the runs of the "
         "search, the other settings as at the best point (diamond). Dots: scores of all points, whose other "
         "settings differ.",

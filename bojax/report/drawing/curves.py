@@ -19,7 +19,7 @@ from bojax.report import statistics, style
 from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.source import Point
 from bojax.report.statistics import Band, Floats
-from bojax.report.text import joined, number, percent, ranged, sentence
+from bojax.report.text import capitalised, joined, number, percent, ranged
 
 Limits: TypeAlias = tuple[ArrayLike, ArrayLike]  # the least and the greatest value possible
 ANY: Limits = -np.inf, np.inf
@@ -162,7 +162,7 @@ class Chart:
         runs = ranged((len(curve.values) for curve in drawn), "run")
         caption = []
         for panel, row in zip(panels, ("Above: ", "Below: "), strict=False):
-            text = panel.quantity if len(panels) > 1 else sentence(panel.quantity)
+            text = panel.quantity if len(panels) > 1 else capitalised(panel.quantity)
             bands = f", with pointwise 95% bands ({panel.method})" if panel.method else ""
             caption.append(f"{row * (len(panels) > 1)}{text}{bands}.")
         partial = [panel.missing for panel in panels if any(c.is_partial.any() for c, _, _ in panel.drawn)]

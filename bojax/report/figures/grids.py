@@ -16,7 +16,17 @@ from bojax.report.drawing.maps import draw_scale
 from bojax.report.ranking import Measure, measure_of
 from bojax.report.source import Point, Results, short_value, swept_keys, swept_values
 from bojax.report.statistics import Floats
-from bojax.report.text import distinct, heading, is_number, minus, number, plain, printed, sentence, shortened
+from bojax.report.text import (
+    capitalised,
+    distinct,
+    heading,
+    is_number,
+    minus,
+    number,
+    plain,
+    printed,
+    shortened,
+)
 
 MAX_PANELS = 8
 
@@ -84,7 +94,7 @@ def settings(results: Results) -> Drawing:
     return Drawing(
         figure=figure,
         title="Effect of the settings",
-        caption=f"{sentence(measure.words)} for each value of a swept setting: the best over all other "
+        caption=f"{capitalised(measure.words)} for each value of a swept setting: the best over all other "
         f"settings (dots) and the mean over them (faint). Best of {len(points)} settings, selected by these "
         f"same runs: {name}, {number(float(means[winner]))}.",
         alt=f"Line charts of the {measure.words} over {', '.join(keys)}; the best point is {name}.",
@@ -172,8 +182,8 @@ def heat_map(results: Results) -> Drawing:
     place += f" of {printed(name)}" if len(maps) > 1 else ""
     return Drawing(
         figure=figure,
-        title=sentence(f"{heading(vertical)} and {heading(horizontal)}"),
-        caption=f"{sentence(measure.words)} at each pair of values{over}. Frame: the best, {number(best)} "
+        title=capitalised(f"{heading(vertical)} and {heading(horizontal)}"),
+        caption=f"{capitalised(measure.words)} at each pair of values{over}. Frame: the best, {number(best)} "
         f"at {place}, chosen by these same runs. Empty: not run, or a run without a number.",
         alt=f"Map of the {measure.words} over {horizontal} and {vertical}; the best value is at {place}.",
     )

@@ -14,7 +14,7 @@ from bojax.report.drawing.curves import ANY, Chart, Curve, Limits, Panel
 from bojax.report.growth import LAWS, Fit, errors_of, fit
 from bojax.report.ranking import ENDS, Measure, signed
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
-from bojax.report.text import heading, is_number, joined, number, sentence
+from bojax.report.text import capitalised, heading, is_number, joined, number
 
 WIDE = 20
 """Ratio of the greatest to the least swept number from which the axis is logarithmic."""
@@ -36,7 +36,7 @@ def sweep_curve(results: Results) -> Drawing:
     chart.add_levels(lines)
     named = [f"{name} ({number(value)})" for name, value in lines.items()]
     details = f"Dashed: {joined(named)}." if named else ""
-    return chart.drawing(sentence(f"{column} over {over}"), details, note)
+    return chart.drawing(capitalised(f"{column} over {over}"), details, note)
 
 
 def swept_panel(results: Results, *, to_the_end: bool = False) -> tuple[Panel, str, str, str]:
