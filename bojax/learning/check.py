@@ -150,7 +150,7 @@ def _check_summary(learner: Learner, state: LearnerState) -> None:
 
 
 def _check_idle(learner: Learner, observations: Space, actions: Space) -> None:
-    """Refuse methods that change what they must not, and actions that are another one once saved, or unknown.
+    """Refuse methods that change what they must not, and actions outside of the space or changed by saving.
 
     `observe`, `flush` and `end_episode` are also called for runs that have ended, until all runs of the batch
     have: what a run learned would depend on the others.
