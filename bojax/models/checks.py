@@ -211,6 +211,29 @@ def check_takes(
     if is_number and getattr(value, "shape", None) != ():
         found = getattr(value, "shape", type(value).__name__)
         raise ValueError(f"{name}: returns {found} for a point; allowed: one number, of shape ()")
+    if num_points == 2 and is_users(function) and is_known(function):
+        _check_covariance(f"{name}: {type(function).__name__}", function, num_dims, dtype)
+
+
+def _check_covariance(name: str, kernel: Any, num_dims: int, dtype: Any) -> None:
+    """Refuse a kernel whose covariances of some points are not finite, symmetric and those of a Gaussian."""
+    points = jnp.asarray(np.random.default_rng(0).normal(size=(_NUM_TRIED, num_dims)), dtype)
+    gram = np.asarray(kernel.gram(points, points), np.float64)
+    if not np.all(np.isfinite(gram)):
+        raise ValueError(f"{name}: a covariance of two points is not finite")
+    slack = _SLACK * max(np.max(np.abs(gram)), np.finfo(dtype).tiny)
+    if np.max(np.abs(gram - gram.T)) > slack:
+        raise ValueError(f"{name}: k(x, y) differs from k(y, x)")
+    if (least := np.linalg.eigvalsh(gram).min()) < -slack:
+        got = f"the covariances of {_NUM_TRIED} points have the eigenvalue {least:.3g}"
+        raise ValueError(f"{name}: {got}; allowed: no negative ones, as of every covariance function")
+
+
+_NUM_TRIED = 24
+"""Number of points at which a user's kernel is tried."""
+
+_SLACK = 1e-3
+"""Largest error of a covariance of single precision, as a share of the largest covariance."""
 
 
 def is_known(tree: PyTree) -> bool:

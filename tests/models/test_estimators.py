@@ -3,21 +3,25 @@
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from sklearn.base import clone, is_regressor
 from sklearn.gaussian_process import GaussianProcessRegressor as Reference
 from sklearn.gaussian_process import kernels as sk
 from sklearn.metrics import r2_score
 from sklearn.model_selection import cross_val_score
+from typing_extensions import override
 
 from bojax.models.bayesian_linear_regression import log_marginal_likelihood
 from bojax.models.estimators import BayesianLinearRegressor, GaussianProcessRegressor
 from bojax.models.features import Polynomial
-from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
+from bojax.models.kernels import RBF, Kernel, Matern12, Matern32, Matern52, Scaled
 from bojax.models.means import ConstantMean, LinearMean
 from tests.refusals import assert_refused
 from tests.tiers import by_tier
@@ -258,6 +262,16 @@ def test_refuses_data_that_are_no_data(name):
     )
 
 
+class Own(Kernel):
+    """A kernel of a user's own; any function, whether it is a covariance or not."""
+
+    function: Callable[[Array, Array], Array] = eqx.field(static=True)
+
+    @override
+    def __call__(self, x, y):
+        return self.function(x, y)
+
+
 def test_refuses_settings_that_cannot_be():
     # Not by the constructor, whose annotations are checked first.
     columns = r"does not accept points of dimension 2 \(the columns of X\)"
@@ -272,6 +286,9 @@ def test_refuses_settings_that_cannot_be():
         ({"kernel": "rfb"}, 'kernel: got "rfb"; unknown kernel; .*did you mean "rbf"'),
         ({"kernel": "sum"}, "kernel.lengthscale: unknown key .*rbf"),
         ({"kernel": {"kind": "rbf", "lengthscale": 0}}, "kernel.lengthscale: got 0; allowed: a number from"),
+        ({"kernel": Own(lambda x, y: jnp.log(-1.0 - x @ y))}, "kernel: Own: .* two points is not finite"),
+        ({"kernel": Own(lambda x, y: jnp.sum(x))}, r"kernel: Own: k\(x, y\) differs from k\(y, x\)"),
+        ({"kernel": Own(lambda x, y: -(x @ y))}, "kernel: Own: .* have the eigenvalue -.*; allowed: no neg"),
         ({"kernel": RBF}, "kernel: got <class .*; allowed: an instance of Kernel, such as RBF"),
         ({"mean": 0.0}, "mean: got 0.0; allowed: an instance of Mean, such as ConstantMean"),
         ({"noise_variance": -0.1}, f"noise_variance: got -0.1; allowed: {noise}, representable in float64"),
