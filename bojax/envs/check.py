@@ -12,6 +12,7 @@ from bojax.numerics.trial import (
     is_users,
     require,
     require_arrays,
+    require_columns,
     require_equal_traces,
     require_state,
     trial,
@@ -63,6 +64,7 @@ def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None
     frame = env.frame(state)
     if frame is not None and jnp.ndim(frame) != 1:
         raise Misfit(f"frame has shape {jnp.shape(frame)}; allowed: a vector")
+    require_columns("counts", env.counts(state), "count_columns", env.count_columns)
     result = env.step(key, state, env.action_space.example)
     if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], TimeStep)):
         raise Misfit("step has to return the next state and a TimeStep")

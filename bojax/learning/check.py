@@ -1,6 +1,5 @@
 """A check of a user's learner and schedule: traces of each method, and calls that must change nothing."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from bojax.envs.spaces import Discrete, Space
-from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
+from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.schedules import Schedule
 from bojax.models.checks import is_known
 from bojax.numerics.trial import (
@@ -20,11 +19,11 @@ from bojax.numerics.trial import (
     is_users,
     require,
     require_arrays,
+    require_columns,
     require_state,
     trial,
     trial_of,
 )
-from bojax.results.schema import Column
 from bojax.text import error_at_line
 
 
@@ -130,23 +129,7 @@ def _check_methods(
     for name, value in zip(("Q", "U"), values, strict=True):
         require(f"{name} of values", value, number)
     if _is_own(learner):
-        _check_summary(learner, state)
-
-
-def _check_summary(learner: Learner, state: LearnerState) -> None:
-    """Raise a `Misfit` unless a summary has one number for each of the columns."""
-    columns = learner.columns
-    if not (isinstance(columns, tuple) and all(isinstance(each, Column) for each in columns)):
-        raise Misfit(f"columns is {columns!r:.60}; allowed: a tuple of bojax.results.schema.Column")
-    summary = learner.summary(state)
-    dtypes = {each.name: "int32" if each.words else each.dtype for each in columns}
-    if not isinstance(summary, Mapping) or summary.keys() != dtypes.keys():
-        found = list(summary) if isinstance(summary, Mapping) else described(summary)
-        raise Misfit(f"summary returns {found}; allowed: the names of columns, {list(dtypes)}")
-    for name, value in summary.items():
-        fits = isinstance(value, Array) and value.shape == ()
-        if not (fits and np.can_cast(value.dtype, dtypes[name], "same_kind")):
-            raise Misfit(f"{name} of summary is {described(value)}; allowed: {dtypes[name]} of shape ()")
+        require_columns("summary", learner.summary(state), "columns", learner.columns)
 
 
 def _check_idle(learner: Learner, observations: Space, actions: Space) -> None:

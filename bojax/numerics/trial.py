@@ -6,7 +6,7 @@ import inspect
 import random
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -16,6 +16,7 @@ import numpy as np
 from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array
 
+from bojax.results.schema import Column
 from bojax.text import error_at_line, place_of
 
 T = TypeVar("T")
@@ -182,6 +183,20 @@ def require(name: str, value: Any, expected: Array) -> None:
     if isinstance(value, bool) and expected.dtype == bool:
         hint = "; use jnp.asarray(x)"
     raise Misfit(f"{name} is {described(value)}; allowed: {expected.dtype} of shape {expected.shape}{hint}")
+
+
+def require_columns(method: str, values: Any, attribute: str, columns: Any) -> None:
+    """Raise a `Misfit` unless a method returns one number for each column that an attribute declares."""
+    if not (isinstance(columns, tuple) and all(isinstance(each, Column) for each in columns)):
+        raise Misfit(f"{attribute} is {columns!r:.60}; allowed: a tuple of bojax.results.schema.Column")
+    dtypes = {each.name: "int32" if each.words else each.dtype for each in columns}
+    if not isinstance(values, Mapping) or values.keys() != dtypes.keys():
+        found = list(values) if isinstance(values, Mapping) else described(values)
+        raise Misfit(f"{method} returns {found}; allowed: the names of {attribute}, {list(dtypes)}")
+    for name, value in values.items():
+        fits = isinstance(value, Array) and value.shape == ()
+        if not (fits and np.can_cast(value.dtype, dtypes[name], "same_kind")):
+            raise Misfit(f"{name} of {method} is {described(value)}; allowed: {dtypes[name]} of shape ()")
 
 
 def require_state(method: str, after: Any, before: Any) -> None:

@@ -51,6 +51,9 @@ class Cart(Env):
             "x": self.sped if self.broken == "misspelt" else jax.random.uniform(key, (1,), self.speed.dtype)
         }
 
+    def counts(self, state):
+        return {"bumps": jnp.zeros((), jnp.int32)} if self.broken == "undeclared count" else {}
+
     def observe(self, state):
         return jnp.tile(state["x"], 2 if self.broken == "long observation" else 1)
 
@@ -86,6 +89,7 @@ MISFITS = {
     "numeric end": r"TimeStep.terminated is float32 of shape \(\); allowed: bool of shape \(\)",
     "long observation": rf"the observation of observe is float32 of shape \(2,\); {SINGLE}1,\)",
     "wide state": rf"state\['x'\] of step is float64 of shape \(1,\); {SINGLE}1,\)",
+    "undeclared count": r"counts returns \['bumps'\]; allowed: the names of count_columns, \[\]",
     "other state": "the state of step differs in structure from the first",
     "no time step": "step has to return the next state and a TimeStep",
     "scalar bounds": r"observation_space.low has shape \(\)",
