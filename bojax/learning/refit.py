@@ -187,11 +187,10 @@ class Refit(EMUQModel):
         def sweep(number, q):
             actions, _ = self.actions(jax.random.fold_in(key_q, number), state)
             anew = Candidates.of(self, state, actions, kappa)
-            choose, split = anew.greedy(mean.at[:, Q].set(q)), anew.split(q)
+            values = anew.values(mean.at[:, Q].set(q), q)
 
             def visit(total, rows):
-                value = row_sums(rows.x * split[choose(rows.x)[0]])
-                target = rows.memory.rewards + self.q_discount(rows.memory.terminated) * value
+                target = rows.memory.rewards + self.q_discount(rows.memory.terminated) * values(rows.x)
                 return total + matmul(rows.valid(target), rows.phi)
 
             return matmul(gain, transitions.fold(visit, jnp.zeros_like(q)))

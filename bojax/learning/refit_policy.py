@@ -140,12 +140,12 @@ class Candidates(eqx.Module):
         # Features are bilinear: phi(s', a)'m = x(s')'split(m, y(a)). One product of x with a matrix gives the
         # values of all candidates, and phi(s', a) is computed only where U needs variances.
         q, u = self.split(mean[:, Q]), self.kappa * self.split(mean[:, U])
-
+        sums = q + u  # out of the loop over transitions, where XLA would leave it
         variances = None if self.covariance is None else self._variances(self.covariance, q.shape[1])
 
         def choose(x):
             if variances is None:
-                scores, factors = matmul_on_tensor_cores(x, (q + u).T), jnp.ones((len(x), 1), x.dtype)
+                scores, factors = matmul_on_tensor_cores(x, sums.T), jnp.ones((len(x), 1), x.dtype)
             else:
                 factors = self.model.u_factor(variances(x))
                 scores = matmul_on_tensor_cores(x, q.T) + matmul_on_tensor_cores(x, u.T) * factors
@@ -154,6 +154,21 @@ class Candidates(eqx.Module):
             return chosen, jnp.take_along_axis(factors, chosen[:, None], axis=1)[:, 0]
 
         return choose
+
+    def values(
+        self, mean: Float[Array, "M 2"], weights: Float[Array, "M"]
+    ) -> Callable[[Float[Array, "B P"]], Float[Array, "B"]]:
+        """phi(s', a')'weights for the action a' that is greedy for `mean`, as a function of x(s')."""
+        choose, split = self.greedy(mean), self.split(weights)
+        if jax.default_backend() == "cpu":
+            return lambda x: row_sums(x * split[choose(x)[0]])
+
+        # On a GPU, a second pass over x takes longer than the values of all candidates.
+        def of(x):
+            values = matmul_on_tensor_cores(x, split.T)
+            return jnp.take_along_axis(values, choose(x)[0][:, None], axis=1)[:, 0]
+
+        return of
 
     def _variances(
         self, covariance: Float[Array, "M M"], num_state_features: int

@@ -337,6 +337,16 @@ def test_refits_of_a_batch_are_those_of_single_runs():
     np.testing.assert_array_equal(together[~is_active], means[~is_active])
 
 
+def test_values_of_greedy_actions_are_the_same_on_a_gpu(monkeypatch):
+    learner, state = make()
+    candidates = refit_policy.Candidates.of(learner, state, state.candidates, jnp.asarray(0.5))
+    mean = jnp.asarray(np.random.default_rng(0).normal(size=(30, 2)))
+    x = jax.vmap(state.features.state)(transitions().next_observation)
+    on_cpu = candidates.values(mean, mean[:, 0])(x)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    np.testing.assert_allclose(candidates.values(mean, mean[:, 0])(x), on_cpu, rtol=1e-12)
+
+
 @pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["direct"]))
 def test_blocks_of_a_refit_do_not_matter_nor_whether_features_are_stored_or_recomputed(monkeypatch, how):
     steps = transitions()
