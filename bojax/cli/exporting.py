@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from bojax.cli.parser import Parser, one_of, path
 
 TARGETS = ("csv", "mlflow", "tensorboard", "wandb")
-"""What results can be exported to; `bojax.report.exporting.build` has a function for each."""
+"""What results can be exported to; `bojax.report.exporting` has a function for each."""
 
 _EXAMPLES = """\
   bojax export results/chain/20250101-120000 --to csv              CSV files in its subfolder export/csv
@@ -28,7 +28,7 @@ def main(name: str, words: Sequence[str]) -> int:
     parser.option("--out", "DIR", "folder to write, new or empty (default: export/TARGET in DIR)", path)
     args = parser.read(words)
 
-    from bojax.report.exporting.build import export
+    from bojax.report.exporting import export
 
     print(export(args.folder, args.to, args.out))
     return 0

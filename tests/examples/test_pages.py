@@ -97,7 +97,7 @@ def understand(words, monkeypatch, capsys, folder):
     for function in ("running.run", "reproducing.run", "multiverse.run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, *_: out)
-    monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
+    monkeypatch.setattr("bojax.report.exporting.export", lambda folder, target, out: folder)
     monkeypatch.setattr("bojax.cli.tuning.search", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.survey.plan", lambda *_: 0)
     monkeypatch.setattr("bojax.claims.reproduction.joined_reproduction", lambda *_: [])

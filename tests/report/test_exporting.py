@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from bojax.cli.main import main
-from bojax.report.exporting.build import export
-from bojax.report.exporting.content import exported
+from bojax.report.exporting import export, exported
 from bojax.report.source import load
 from bojax.report.text import exact
 from tests.report.synthetic import edit_manifest, write_learning, write_results

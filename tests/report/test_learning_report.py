@@ -13,7 +13,7 @@ from bojax.report.build import build_report
 from bojax.report.columns import Columns
 from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
-from bojax.report.exporting.content import exported
+from bojax.report.exporting import exported
 from bojax.report.figures import draw
 from bojax.report.figures.curves import limit, rolling_mean
 from bojax.report.figures.sweeps import curves_over, nearest_law, swept_panel
