@@ -36,36 +36,22 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Aim:
-    """An aim: the errors of a method are at most a multiple of those of each rival.
+    """An aim: the errors of a method are at most a multiple of those of each rival."""
 
-    Attributes:
-        short: Its name in tables.
-        title: The aim in words.
-        prediction: What was expected.
-        measure: Column of errors.
-        own: Method.
-        bound: Largest ratio of its errors to a rival's.
-        fields: Names of fields; `square` for those in the empty square, and `all` for every field.
-        by: What is compared one by one: `length`, `field`, or nothing.
-        reason: What bounds it, where it is not reached or inconclusive: written after a run, whose numbers it
-            may name.
-        verdict: Whether it is reached, set by `judged` with what follows.
-        found: What was found, in words.
-        comparisons: The comparisons behind the verdict.
-    """
-
-    short: str
-    title: str
-    prediction: str
-    measure: str
-    own: str
-    bound: float
-    fields: Sequence[str] | str = "all"
-    by: str = ""
+    short: str  # its name in tables
+    title: str  # the aim in words
+    prediction: str  # what was expected
+    measure: str  # column of errors
+    own: str  # method
+    bound: float  # largest ratio of its errors to a rival's
+    fields: Sequence[str] | str = "all"  # their names, `square` for those in the empty square, or all
+    by: str = ""  # what is compared one by one: `length`, `field`, or nothing
     _: KW_ONLY
+    # What bounds it, where it is not reached or inconclusive: written after a run, whose numbers it may name
     reason: str
+    # Set by `judged`:
     verdict: str = UNTESTED
-    found: str = ""
+    found: str = ""  # in words
     comparisons: Sequence[Comparison] = ()
 
 
@@ -227,6 +213,5 @@ def _judge_time(league: League) -> Aim:
 
 
 def _verdict(ratio: Interval, bound: float) -> str:
-    if not np.isfinite([ratio.low, ratio.high]).all():
-        return OPEN
+    # Comparisons with NaN, of a ratio without an interval, are false.
     return REACHED if ratio.high <= bound else MISSED if ratio.low > bound else OPEN

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bojax.report.statistics import Interval, mean_interval, ratio_interval
+from bojax.report.statistics import Interval, ratio_interval
 from bojax.results.store import ResultsError, read_json
 
 LEAGUE, CELLS = "league.json", "cells"
@@ -19,17 +19,11 @@ Key = tuple[str, str, int, str]  # measure, field, length, method
 
 @dataclass(frozen=True)
 class League:
-    """What a league has found.
+    """What a league has found."""
 
-    Attributes:
-        about: Its description.
-        errors: Errors by start, for each measure, field, length and method.
-        seconds: CPU seconds that `bojax survey` took after the first start, by length.
-    """
-
-    about: Mapping[str, Any]
-    errors: Mapping[Key, Mapping[int, float]]
-    seconds: Mapping[int, Sequence[float]]
+    about: Mapping[str, Any]  # its description
+    errors: Mapping[Key, Mapping[int, float]]  # by start
+    seconds: Mapping[int, Sequence[float]]  # CPU seconds of `bojax survey` after the first start, by length
 
     @classmethod
     def read(cls, folder: Path) -> "League":
@@ -63,11 +57,6 @@ class League:
     def lengths(self) -> list[int]:
         """Lengths of its routes."""
         return list(self.about["lengths"])
-
-    def mean(self, measure: str, field: str, length: int, method: str) -> Interval | None:
-        """Mean over the starts; None without any."""
-        found = self.errors.get((measure, field, length, method))
-        return mean_interval(np.array(list(found.values()))) if found else None
 
     def ratio(
         self, measure: str, own: str, other: str, fields: Sequence[str], lengths: Sequence[int]
