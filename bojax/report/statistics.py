@@ -189,17 +189,10 @@ def interval_of_means(
 ) -> Interval:
     """Interval of a statistic of the means of columns, of a table `[n]` or `[n, columns]` with a row per run.
 
-    From `FEW` runs on it is a percentile bootstrap. Fewer have the t interval with the jackknife's standard
-    error (Tukey 1958), which is Student's for a mean; a ratio's interval is computed for its logarithm. A
-    single run has no interval.
-
-    Args:
-        statistic: Maps means `[..., columns]` to values `[...]`.
-        values: The table, whose values are finite.
-        tail: Probability outside the interval on either side.
-        is_ratio: Whether the statistic is positive, so that the interval is computed for its logarithm: a
-            ratio, or a mean time.
-        resampled: The means of resampled rows, if they are known.
+    From `FEW` runs on it is a percentile bootstrap, of the means `resampled` if they are known. Fewer have
+    the t interval with the jackknife's standard error (Tukey 1958), which is Student's for a mean. A single
+    run has no interval. The values are finite; the statistic maps means `[..., columns]` to values `[...]`.
+    If it is positive, a ratio or a mean time (`is_ratio`), the interval is computed for its logarithm.
     """
     tail = tail_in_use() if tail is None else tail
     table = np.asarray(values, dtype=np.float64)
@@ -450,12 +443,8 @@ def paired_shares(
     Newcombe (1998, Statistics in Medicine 17, pp. 2635-2650, method 10), for other sums that of Zou and
     Donner (2008, Statistics in Medicine 27, pp. 1693-1702). NaN for no runs.
 
-    Args:
-        flags: The table.
-        weights: Weight of each column.
-        tail: Probability outside the interval on either side.
-        is_ratio: Whether the sum is one of logarithms; estimate and bounds are then its exponentials, so that
-            weights 1 and -1 give the ratio of two shares, NaN if one is 0.
+    With `is_ratio`, the sum is one of logarithms, and estimate and bounds are its exponentials: weights 1 and
+    -1 give the ratio of two shares, NaN if one is 0.
     """
     table, weight = np.asarray(flags, dtype=np.float64), np.asarray(weights, dtype=np.float64)
     n, hits = len(table), table.sum(axis=0)
@@ -481,15 +470,6 @@ def _phi(table: Floats) -> Floats:
     phi = np.divide(product, spread, out=np.zeros_like(product), where=spread > 0)
     np.fill_diagonal(phi, 1.0)
     return phi
-
-
-def fisher_p_value(successes: int, trials: int, other_successes: int, other_trials: int) -> float:
-    """Two-sided p-value of Fisher's exact test of whether two independent shares are equal."""
-    from scipy import stats  # takes half a second to import, and few reports need it
-
-    pairs = ((successes, trials), (other_successes, other_trials))
-    result: Any = stats.fisher_exact([[hits, runs - hits] for hits, runs in pairs])
-    return float(result.pvalue)
 
 
 def welch_difference(first: tuple[float, float, int], second: tuple[float, float, int]) -> Interval:
