@@ -5,7 +5,6 @@ from itertools import combinations
 
 import numpy as np
 
-from bojax.claims.holm import holm_intervals
 from bojax.claims.samples import (
     Measure,
     enough,
@@ -65,7 +64,7 @@ def _means(results: Results, test: Mean, measure: Measure) -> Finding:
             f"{each} of {test.label}",
             statistics.Interval(*(bound + threshold for bound in dataclasses.astuple(interval))),
         )
-        for each, interval in zip(measures, holm_intervals(table - threshold), strict=True)
+        for each, interval in zip(measures, statistics.holm_intervals(table - threshold), strict=True)
     ]
     ours = ", ".join(
         f"{each.column} {number(mean)}" for each, mean in zip(measures, table.mean(axis=0), strict=True)

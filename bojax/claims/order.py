@@ -5,7 +5,6 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from bojax.claims.holm import holm_intervals
 from bojax.claims.samples import Measure, episodes_in, interval_of, paired, refuse_any_share, stand_ins
 from bojax.claims.settings import Order
 from bojax.config.claims import Window
@@ -58,7 +57,7 @@ def order(results: Results, test: Order) -> Finding:
         return found.low + constant, found.high + constant
 
     comparisons = []
-    intervals = holm_intervals(sample, share_bounds if is_share else None)
+    intervals = statistics.holm_intervals(sample, share_bounds if is_share else None)
     for (part, (a, b)), interval in zip(product(parts, pairs), intervals, strict=True):
         of = _difference(a, b, sign)
         if margin:

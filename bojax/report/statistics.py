@@ -511,3 +511,35 @@ def holm_levels(p_values: ArrayLike, alpha: float) -> Floats:
 def p_value(is_excluded: Callable[[float], bool]) -> float:
     """Least one-sided level at which a bound excludes a value; 1 if it does not even at level 0.5."""
     return _bisected(lambda level: not is_excluded(level), 0.0, 0.5) if is_excluded(0.5) else 1.0
+
+
+def holm_intervals(
+    sample: Floats, share_bounds: Callable[[int, float], tuple[float, float]] | None = None
+) -> list[Interval]:
+    """Interval of the mean of every column of `[runs, columns]`, two rows or more, to be compared with 0.
+
+    It is one-sided in both directions: each bound is at the level that Holm's correction over the columns
+    gives to its side. For shares, `share_bounds` gives the bounds of a column, by its index and the
+    probability of one tail.
+    """
+    means = None if share_bounds is not None or len(sample) < FEW else bootstrap_means(sample)
+
+    def bounds_at(column: int, tail: float) -> tuple[float, float]:
+        if share_bounds is not None:
+            return share_bounds(column, tail)
+        if means is not None:
+            return central(means[:, column], tail)
+        found = interval_of_means(lambda means: means, sample[:, column], tail)
+        return found.low, found.high
+
+    columns = range(sample.shape[1])
+    if means is not None:
+        above, below = (means <= 0).mean(axis=0), (means >= 0).mean(axis=0)
+    else:
+        above = [p_value(lambda tail, k=k: bounds_at(k, tail)[0] > 0) for k in columns]
+        below = [p_value(lambda tail, k=k: bounds_at(k, tail)[1] < 0) for k in columns]
+    low_tails, high_tails = (holm_levels(each, tail_in_use()) for each in (above, below))
+    return [
+        Interval(float(sample[:, k].mean()), bounds_at(k, low_tails[k])[0], bounds_at(k, high_tails[k])[1])
+        for k in columns
+    ]
