@@ -18,7 +18,7 @@ FIGURES = {
     "beliefs": "maps",
     "surfaces": "maps",
     "error-map": "maps",
-    "trajectories": "trajectories",
+    "trajectories": "paths",
     "settings": "grids",
     "heat-map": "grids",
 }
