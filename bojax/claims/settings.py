@@ -293,7 +293,7 @@ class Trend(OfOneLabel, frozen=True):
 class Agrees(OfOneLabel, frozen=True):
     """Whether our mean or share of runs agrees with a printed one: the difference may be 0."""
 
-    target: ClassVar[str] = "bojax.claims.agrees:agrees"
+    target: ClassVar[str] = "bojax.claims.means:agrees"
 
     kind: Literal["agrees"] = "agrees"
     column: str = Field(
