@@ -31,10 +31,7 @@ def build_survey_page(folder: Path) -> Path:
     with np.load(folder / ARRAYS) as arrays:
         maps = dict(arrays)
     with style.settings():
-        plates = {
-            "route": _draw_route(survey, maps).encoded(),
-            "error": _draw_errors(survey).encoded(),
-        }
+        plates = {"route": _draw_route(survey, maps).encoded(), "error": _draw_errors(survey).encoded()}
         if survey["goal"]["kind"] in ("hotspots", "threshold"):
             plates["goal"] = _draw_goal(survey, maps).encoded()
         for index, read in enumerate(survey["read"]):

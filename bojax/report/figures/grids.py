@@ -50,14 +50,8 @@ def settings(results: Results) -> Drawing:
     means = np.array([measure.values(results, point).mean() for point in points])
     if not np.isfinite(means).any():
         raise FigureUnavailable(f"no point has a finite {measure.words}")
-    columns = max(
-        1,
-        min(
-            3,
-            len(curves),
-            int(style.WIDTH / (0.5 + 0.08 * max(len(style.drawn_text(curve)) for curve in curves))),
-        ),
-    )
+    longest = max(len(style.drawn_text(curve)) for curve in curves)
+    columns = max(1, min(3, len(curves), int(style.WIDTH / (0.5 + 0.08 * longest))))
     spare = 0.6 + 0.2 * -(-len(curves) // columns)  # with the rows of the legend
     figure, grid = panel_grid(len(keys), lambda columns: 2.0, spare, sharey=True)
     labels, handles = [point.label for point in points], {}

@@ -2,14 +2,7 @@
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, points_with
-from bojax.report.drawing.sketches import (
-    draw_step,
-    is_by_step,
-    legend_of,
-    num_steps,
-    set_stage,
-    sketches,
-)
+from bojax.report.drawing.sketches import draw_step, is_by_step, legend_of, num_steps, set_stage, sketches
 from bojax.report.source import Results
 from bojax.report.text import joined
 
