@@ -101,12 +101,8 @@ def times_within(times: Floats, budget: float) -> Floats:
 def limit_of(times: Floats, ends: Floats, counted: Floats) -> float:
     """The longest end of runs, beyond which no mean time to an event can lie.
 
-    It is infinite if every run ended with its event, since nothing then limited the time.
-
-    Args:
-        times: Times of all runs of a setting, NaN for never.
-        ends: Ends of these runs.
-        counted: What they count with.
+    The times are those of all runs of a setting, NaN for never, and `counted` is what they count with. It is
+    infinite if every run ended with its event, since nothing then limited the time.
     """
     is_limited = ((ends > times) | (counted != times)).any()
     return float(max(ends.max(), counted.max())) if is_limited else np.inf

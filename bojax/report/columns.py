@@ -52,11 +52,7 @@ def _rows(values: NDArray[Any] | pa.ChunkedArray, parts: Sequence[slice]) -> NDA
 
 
 def read_columns(path: Path) -> Columns:
-    """A table of a results folder.
-
-    Raises:
-        ResultsError: The file cannot be read.
-    """
+    """A table of a results folder."""
     table = read_table(path)
     return Columns(dict(zip(table.column_names, table.columns, strict=True)))
 

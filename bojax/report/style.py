@@ -121,9 +121,7 @@ _NO_GLYPH = "Glyph .* missing from"
 def settings() -> Iterator[list[str]]:
     """Context with the settings of matplotlib under which figures are made and saved.
 
-    Yields:
-        A list that contains, after the context, matplotlib's warnings of characters that no font has. These
-        warnings are not shown; others are.
+    Its list has, at the end, matplotlib's warnings of characters that no font has, which alone are not shown.
     """
     fonts = [
         *_SETTINGS["font.family"],

@@ -207,13 +207,7 @@ Entry = tuple[Claim, str, TestedClaim]
 def evaluated(
     declaration: Declaration, folders: Mapping[str, Path], numbers: Sequence[int]
 ) -> dict[int, list[Entry]]:
-    """The claims of these configurations, each with its sweep and its entry of `claims.json`.
-
-    Args:
-        declaration: The analysis.
-        folders: Results of each sweep, whose points have these configurations.
-        numbers: The configurations.
-    """
+    """The claims of these configurations, which the results of each sweep have, by number."""
     found: dict[int, list[Entry]] = {number: [] for number in numbers}
     for source in declaration.file.sweeps:
         results = load(folders[source])

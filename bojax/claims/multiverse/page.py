@@ -18,12 +18,7 @@ _WORDS = {"r": "holds", "n": "does not hold", "i": "inconclusive", FAILED: "not 
 
 
 def write_page(multiverse: Multiverse, page: Path) -> Path:
-    """Write the page, `.html` or `.md`, and its figures into the folder `figures` beside it.
-
-    Args:
-        multiverse: The outcomes, of some or all configurations.
-        page: The file.
-    """
+    """Write the page, `.html` or `.md`, and its figures into the folder `figures` beside it."""
     with style.settings():
         drawings = {
             "shares": figures.shares(multiverse).encoded(),

@@ -54,11 +54,7 @@ def read_curves(path: Path) -> list[Rows]:
 
 
 def text_of(path: Path) -> str:
-    """The content of a file.
-
-    Raises:
-        ResultsError: The file cannot be read, or is not in UTF-8.
-    """
+    """The content of a file in UTF-8."""
     try:
         return read_within(TEXT, path, str(path)).decode("utf-8-sig")
     except ConfigError:

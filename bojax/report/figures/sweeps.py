@@ -43,11 +43,8 @@ def swept_panel(results: Results, *, to_the_end: bool = False) -> tuple[Panel, s
     """The panel of `report.column` over `report.over`, and the names of both in words.
 
     Last comes a sentence for the caption if some curves are left out. Without these settings, the panel is of
-    the steps to the goal, or the return, over the only swept number.
-
-    Args:
-        results: The results.
-        to_the_end: Whether a run without the goal counts with the end of the longest run, see `ENDS`.
+    the steps to the goal, or the return, over the only swept number. A run without the goal may count with
+    the end of the longest run, see `ENDS`.
     """
     over = _swept_number(results)
     asked = results.report.column

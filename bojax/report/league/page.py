@@ -31,11 +31,7 @@ PAGES = ("league.html", "league.md")
 
 
 def write_pages(folder: Path) -> list[Path]:
-    """Write the page of the league in a folder, and its figures, and return the paths.
-
-    Raises:
-        ResultsError: There are no results in it.
-    """
+    """Write the page of the league in a folder, and its figures, and return the paths."""
     league = League.read(folder)
     aims = judged(league)
     with style.settings():

@@ -27,11 +27,7 @@ class League:
 
     @classmethod
     def read(cls, folder: Path) -> "League":
-        """The league in a folder; some of its pieces may be missing.
-
-        Raises:
-            ResultsError: There are no results in it.
-        """
+        """The league in a folder; some of its pieces may be missing, but not all."""
         errors: dict[Key, dict[int, float]] = defaultdict(dict)
         seconds: dict[int, list[float]] = defaultdict(list)
         files = sorted((folder / CELLS).glob("*.json"))

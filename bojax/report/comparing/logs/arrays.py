@@ -17,11 +17,7 @@ _TASKS = ("tasks", "games")  # names of an array with the names of the columns o
 
 
 def arrays_of(path: Path) -> dict[str, Any]:
-    """The arrays of a `.npz` file; pickled objects are refused.
-
-    Raises:
-        ResultsError: The file cannot be read.
-    """
+    """The arrays of a `.npz` file; pickled objects are refused."""
     allowed = 'allowed: arrays of numbers, as np.savez("scores.npz", **scores) writes them'
     try:
         with np.load(path, allow_pickle=False) as file:

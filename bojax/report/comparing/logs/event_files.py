@@ -22,11 +22,9 @@ _MODULES = ("tensorboardX.proto.event_pb2", "tensorboard.compat.proto.event_pb2"
 
 
 def event_columns(folder: Path, files: Sequence[Path]) -> Columns:
-    """The scalars of the event files of one folder, by tag.
+    """The scalars of the event files of one folder, by tag; at least one.
 
-    Raises:
-        ResultsError: A file is damaged, or no file has a scalar.
-        MissingExtra: Neither tensorboardX nor tensorboard is installed.
+    `MissingExtra` says that neither tensorboardX nor tensorboard is installed.
     """
     new_event = _event_class()
     points: dict[str, list[tuple[float, float]]] = {}

@@ -32,13 +32,8 @@ def rows_of(
     """The runs of logs by label, each label with the path that names its source.
 
     Runs keep the numbers in their names, unless one has none or two have the same: then they are counted.
-
-    Args:
-        logs: Runs of other libraries.
-        metric: The column of bojax that is compared.
-        phase: `train` or `test`.
-        axis: `step` or `episode`.
-        column: The column of the logs; None to choose one that corresponds to `metric`.
+    Without a column of the logs, it is one that corresponds to the metric, the column of bojax that is
+    compared.
 
     Raises:
         ResultsError: A log lacks the column, or is not logged by episode where that is the axis.

@@ -35,9 +35,6 @@ def opened(given: Path) -> Source:
     """Read a file or folder of another library; the curves of logs are read when they are asked for.
 
     In `NAME=PATH`, the name is the label of all runs of the path.
-
-    Raises:
-        ResultsError: It cannot be read, or has none of these.
     """
     label, equals, rest = str(given).partition("=")
     if equals and label and rest and not given.exists():

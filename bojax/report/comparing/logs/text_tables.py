@@ -40,11 +40,7 @@ class TextTable:
 
 
 def table_of(path: Path, text: str, *, first_line: int = 1) -> TextTable:
-    """Split CSV into cells.
-
-    Raises:
-        ResultsError: The text is not CSV, or has no rows.
-    """
+    """Split CSV with at least one row into cells."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         header = [name.strip() for name in next(reader, [])]
