@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
@@ -103,6 +103,8 @@ class Results:
     folder: Path
     manifest: Manifest  # `manifest.json`, checked
     points: tuple[Point, ...]
+    # What was read of the episodes of a point and a phase
+    _known: dict[tuple[Any, ...], NDArray[Any]] = field(default_factory=dict, init=False, compare=False)
 
     @property
     def report(self) -> Report:
@@ -246,7 +248,7 @@ class Results:
         as the longest run of any point has; rows correspond to `runs_of`.
         """
         key = (point.index, column, phase)
-        if key not in self._recorded:
+        if key not in self._known:
             values, episodes = self.episodes[column], self.episodes["episode"]
             of_points = [episodes[self._episode_rows(each, phase)] for each in self.points]
             last = max((int(each.max(initial=0)) for each in of_points), default=0)
@@ -257,8 +259,8 @@ class Results:
             count = np.bincount(cell, minlength=runs.size * last)
             total = np.bincount(cell, values, minlength=runs.size * last)
             means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-            self._recorded[key] = means.reshape(runs.size, last)
-        return self._recorded[key]
+            self._known[key] = means.reshape(runs.size, last)
+        return self._known[key]
 
     def episodes_of(self, point: Point, phase: str = "train") -> NDArray[np.int64]:
         """The last training episode of each run, or the last one with a test; 0 without any."""
@@ -270,18 +272,10 @@ class Results:
     def _episode_rows(self, point: Point, phase: str) -> NDArray[np.intp]:
         """The rows of `episodes.parquet`, which is sorted by point, of a phase of a point."""
         key = (point.index, phase)
-        if key not in self._phase_rows:
+        if key not in self._known:
             start, stop = np.searchsorted(self.episodes["point"], [point.index, point.index + 1])
-            self._phase_rows[key] = start + np.flatnonzero(self.episodes["phase"][start:stop] == phase)
-        return self._phase_rows[key]
-
-    @cached_property
-    def _phase_rows(self) -> dict[tuple[int, str], NDArray[np.intp]]:
-        return {}
-
-    @cached_property
-    def _recorded(self) -> dict[tuple[int, str, str], NDArray[np.float64]]:
-        return {}
+            self._known[key] = start + np.flatnonzero(self.episodes["phase"][start:stop] == phase)
+        return self._known[key]
 
     def final_runs(self, point: Point) -> NDArray[np.bool_]:
         """Which runs of a point are over for good, so that their last values hold at every later place.

@@ -177,7 +177,7 @@ class TestShareOfRunsInAWindow:
         test = {"kind": "share", "label": "a", "column": "value", "window": {"from": 1, "to": 2}}
         assert judge(results, {**test, "above": 0.5}).ours == 1.0
         ended["value"][0] = 0.0
-        results.__dict__.pop("_recorded")
+        results._known.clear()
         with pytest.raises(Undecidable, match="1 run of a without"):
             judge(results, {**test, "above": 0.5})
 
