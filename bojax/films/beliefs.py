@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.axes import Axes
 from PIL import Image
 from typing_extensions import override
 
@@ -21,7 +20,7 @@ class BeliefFilm(Film):
     """The steps of an episode, one after the other, as `StateProblem.sketch` draws them."""
 
     def __init__(self, trace: Trace):
-        self._trace = trace
+        self._trace, self._is_by_step = trace, is_by_step(trace.sketch)
         self._steps = frames_of(num_steps(trace.sketch) + 1)
         self.name = f"{file_name(trace.point.name)}-run{trace.run}"
         self.num_images = len(self._steps)
@@ -35,7 +34,7 @@ class BeliefFilm(Film):
         figure.text(0.03, 0.945, drawn_text(title), color=INK, fontsize=10)
         status = figure.text(0.03, 0.895, "", color=INK, fontsize=10)
         axes = figure.add_axes((0.12, 0.17, 0.85, 0.68) if self._is_by_step else (0.02, 0.07, 0.96, 0.80))
-        self._stage(axes)
+        set_stage(axes, trace.sketch, trace.point.outline)
         if self._is_by_step:
             axes.set_xlabel("step", fontsize=9)
         entries = zip(*legend_of([trace.sketch]), strict=True)
@@ -50,15 +49,8 @@ class BeliefFilm(Film):
 
     @override
     def still(self, share: float) -> Image.Image:
-        figure = blank(*STILL)
+        figure, trace = blank(*STILL), self._trace
         axes = figure.add_axes((0.1, 0.1, 0.88, 0.88) if self._is_by_step else (0.01, 0.01, 0.98, 0.98))
-        self._stage(axes)
-        draw_step(axes, self._trace.sketch, round(share * num_steps(self._trace.sketch)))
+        set_stage(axes, trace.sketch, trace.point.outline)
+        draw_step(axes, trace.sketch, round(share * num_steps(trace.sketch)))
         return photograph(figure)
-
-    @property
-    def _is_by_step(self) -> bool:
-        return is_by_step(self._trace.sketch)
-
-    def _stage(self, axes: Axes) -> None:
-        set_stage(axes, self._trace.sketch, self._trace.point.outline)
