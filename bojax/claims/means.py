@@ -39,11 +39,10 @@ def mean(results: Results, test: Mean) -> Finding:
     (point,), chosen = stand_ins(results, test, measure)
     interval, runs, method = mean_of(results, test, point, measure)
     sides = {"above": test.above, "below": test.below}
-    if measure.is_share(results) and not all(
-        0 <= bound <= 1 for bound in sides.values() if bound is not None
-    ):
+    known = {side: bound for side, bound in sides.items() if bound is not None}
+    if measure.is_share(results) and not all(0 <= bound <= 1 for bound in known.values()):
         raise Undecidable(f"the mean of {measure} is a share; allowed: thresholds from 0 to 1")
-    bounds = " and ".join(f"{side} {bound:g}" for side, bound in sides.items() if bound is not None)
+    bounds = " and ".join(f"{side} {bound:g}" for side, bound in known.items())
     return Finding.between(
         test.above,
         test.below,
@@ -275,14 +274,14 @@ def agrees(results: Results, test: Agrees) -> Finding:
     values = results.runs_of(point)[name]
     enough(values.size, "run")
     if test.share is not None:
+        from scipy import stats  # takes half a second to import, and few reports need it
+
         if test.missing and values.dtype.kind == "f":
             values = values[most_present(values, label, name, test.missing)]
             enough(values.size, "run")
         size, hits = values.size, int(flags(values, label, name).sum())
         printed = round(test.share * runs)
         interval = statistics.share_difference(hits, size, printed, runs)
-        from scipy import stats  # takes half a second to import, and few reports need it
-
         result: Any = stats.fisher_exact([[hits, size - hits], [printed, runs - printed]])
         p_value = float(result.pvalue)
         is_apart = p_value < 2 * statistics.tail_in_use()
