@@ -1,6 +1,6 @@
 """The figures of a multiverse analysis: specification curves (Simonsohn et al., 2020), and shares."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,23 +9,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from bojax.claims.multiverse.outcomes import CODES, FAILED, ClaimOutcomes, Multiverse, effects
+from bojax.claims.multiverse.outcomes import FAILED, ClaimOutcomes, Multiverse, effects
 from bojax.report import style
 from bojax.report.drawing.base import Drawing
 from bojax.report.text import counted
 
-INKS = {
-    CODES["reproduced"]: style.BLUE,
-    CODES["inconclusive"]: "#BDBDBD",
-    CODES["not reproduced"]: style.ORANGE,
-    FAILED: style.INK,
-}
-WORDS = {
-    CODES["reproduced"]: "holds",
-    CODES["inconclusive"]: "inconclusive",
-    CODES["not reproduced"]: "does not",
-    FAILED: "not tested",
-}
+INKS = {"r": style.BLUE, "i": "#BDBDBD", "n": style.ORANGE, FAILED: style.INK}
+WORDS = {"r": "holds", "i": "inconclusive", "n": "does not", FAILED: "not tested"}
 
 _ROW = 0.16
 """Height of a row of a dashboard, in inches."""
@@ -65,9 +55,7 @@ def count_curve(multiverse: Multiverse) -> Drawing:
     holding, choices = multiverse.holding(), multiverse.declaration["choices"]
     order = np.argsort(-holding, kind="stable")
     figure, curve, dashboard = _panels(choices)
-    curve.vlines(
-        range(order.size), 0, holding[order], color=style.BLUE, linewidth=_width(order.size), rasterized=True
-    )
+    curve.vlines(range(order.size), 0, holding[order], color=style.BLUE, **_mark(order.size))
     if 0 in multiverse.done:
         own = int(np.flatnonzero(order == multiverse.done.index(0))[0])
         curve.plot([own], [holding[order[own]]], "o", color=style.ORANGE, markersize=5, clip_on=False)
@@ -100,15 +88,7 @@ def claim_curve(multiverse: Multiverse, claim: ClaimOutcomes) -> Drawing | None:
     inks = np.array([INKS[code] for code in claim.verdicts], object)[order]
     figure, curve, dashboard = _panels(choices)
     places = np.arange(order.size)
-    curve.vlines(
-        places,
-        low[order],
-        high[order],
-        colors=list(inks),
-        linewidth=_width(order.size),
-        alpha=0.45,
-        rasterized=True,
-    )
+    curve.vlines(places, low[order], high[order], colors=list(inks), alpha=0.45, **_mark(order.size))
     curve.scatter(places, estimates[order], s=5, c=list(inks), linewidths=0, rasterized=True)
     if 0 in multiverse.done and (own := np.flatnonzero(order == multiverse.done.index(0))).size:
         curve.plot(own, estimates[order[own]], "o", mfc="none", color=style.INK, markersize=8, clip_on=False)
@@ -169,7 +149,7 @@ def _draw_dashboard(
     multiverse: Multiverse,
     choices: Mapping[str, Any],
     order: NDArray[np.int64],
-    inks: Sequence[Any] | NDArray[Any],
+    inks: NDArray[Any],
 ) -> None:
     """A row for each value of these choices, with a mark where a configuration has it."""
     names, levels = list(multiverse.declaration["choices"]), multiverse.levels[order]
@@ -180,14 +160,7 @@ def _draw_dashboard(
             axes.axhline(row - 0.5, color="#E4E4E4", linewidth=0.7)
         for level, value in enumerate(choice["values"]):
             has = levels[:, names.index(name)] == level
-            axes.vlines(
-                places[has],
-                row - 0.38,
-                row + 0.38,
-                colors=list(np.asarray(inks)[has]),
-                linewidth=_width(order.size),
-                rasterized=True,
-            )
+            axes.vlines(places[has], row - 0.38, row + 0.38, colors=list(inks[has]), **_mark(order.size))
             labels.append(f"{name if level == 0 else ''}  {value}")
             row += 1
     axes.set_yticks(range(row), [style.drawn_text(label) for label in labels], fontsize=6.5)
@@ -197,6 +170,6 @@ def _draw_dashboard(
     axes.spines[:].set_visible(False)
 
 
-def _width(count: int) -> float:
-    """Width of a mark so that the marks of all configurations fill the width of the panel."""
-    return max(0.4, min(6.0, 0.75 * 3.3 * 72 / max(1, count)))
+def _mark(count: int) -> dict[str, Any]:
+    """Style of marks, so wide that those of all configurations fill the width of the panel."""
+    return {"linewidth": max(0.4, min(6.0, 0.75 * 3.3 * 72 / max(1, count))), "rasterized": True}

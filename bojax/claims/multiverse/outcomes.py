@@ -240,28 +240,19 @@ def extended(
     order = sorted({*multiverse.done, *found})
     rows: dict[str, dict[int, Row]] = {}
     for claim in multiverse.claims:
-        numbers = zip(claim.estimates, claim.low, claim.high, claim.ours, strict=True)
-        entries = zip(claim.verdicts, map(list, numbers), strict=True)
+        entries = zip(*(getattr(claim, column) for column in _COLUMNS), strict=True)
         rows[claim.id] = dict(zip(multiverse.done, entries, strict=True))
     for number, entries in found.items():
         for claim, sweep, entry in entries:
             if claim.id not in by_id:
-                by_id[claim.id] = ClaimOutcomes(
-                    id=claim.id,
-                    sweep=sweep,
-                    own_bound=claim.own_bound,
-                    source=claim.source,
-                    claim=claim.claim,
-                    thesis=claim.thesis,
-                )
+                about = claim.model_dump(include={"id", "own_bound", "source", "claim", "thesis"})
+                by_id[claim.id] = ClaimOutcomes(sweep=sweep, **about)
             rows.setdefault(claim.id, {})[number] = _row(entry)
     claims = []
     for name, claim in by_id.items():
-        verdicts, numbers = zip(*(rows[name][number] for number in order), strict=True)
-        columns = dict(
-            zip(("estimates", "low", "high", "ours"), map(list, zip(*numbers, strict=True)), strict=True)
-        )
-        claims.append(claim.model_copy(update={"verdicts": "".join(verdicts), **columns}))
+        verdicts, *numbers = zip(*(rows[name][number] for number in order), strict=True)
+        columns = zip(_COLUMNS, ["".join(verdicts), *map(list, numbers)], strict=True)
+        claims.append(claim.model_copy(update=dict(columns)))
     extended = _with_declaration(multiverse.model_copy(update={"done": order, "claims": claims}), declaration)
     if len(order) == len(multiverse.configurations):
         extended = extended.model_copy(update={"best": best_of(extended)})
@@ -292,8 +283,9 @@ def confirmed(
     return found
 
 
-Row = tuple[str, list[float | None]]
-"""The code of a claim in a configuration; its estimate, the bounds of its interval, and `ours`."""
+_COLUMNS = ("verdicts", "estimates", "low", "high", "ours")
+Row = tuple[str, *tuple[float | None, ...]]
+"""These columns of a claim in a configuration: its code, and its numbers."""
 
 
 def _row(entry: TestedClaim) -> Row:
@@ -302,8 +294,7 @@ def _row(entry: TestedClaim) -> Row:
     low, high = entry.interval or (None, None)
     code = FAILED if entry.test.reason else CODES[entry.verdict]
     printed = entry.ours if isinstance(entry.ours, int | float) else None
-    numbers = [None if each is None else float(f"{each:.6g}") for each in (decisive, low, high, printed)]
-    return code, numbers
+    return code, *(None if each is None else float(f"{each:.6g}") for each in (decisive, low, high, printed))
 
 
 def best_of(multiverse: Multiverse) -> int:
