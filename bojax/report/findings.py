@@ -17,7 +17,7 @@ from bojax.report import statistics
 from bojax.report.columns import NoColumn
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
-from bojax.report.verdicts import ComparisonEntry, FailureCause, TestedClaim, Verdict
+from bojax.report.verdicts import FailureCause, TestedClaim, Verdict
 from bojax.results.store import ResultsError
 from bojax.text import error_line
 
@@ -111,9 +111,7 @@ def _entry(results: Results, claim: Claim | Unread) -> TestedClaim:
     settings = claim.model_dump(mode="json") if is_read else claim.mapping
     test = claim.test.model_dump(mode="json", exclude_none=True) if is_read else settings.get("test") or {}
     known = {key: settings.get(key) for key in ("id", "source", "claim", "own_bound", "thesis")}
-    known |= {"class": settings.get("class", "claim"), "changed": results.manifest.changed, "test": test}
-    undecided = {"ours": None, "interval": None, "runs": 0, "verdict": "inconclusive"}
-    entry = TestedClaim.model_validate({**known, **undecided})
+    known |= {"class": settings.get("class", "claim"), "changed": results.manifest.changed}
     try:
         if isinstance(claim, Unread):
             raise Undecidable(claim.reason)
@@ -125,22 +123,21 @@ def _entry(results: Results, claim: Claim | Unread) -> TestedClaim:
         raise
     except Exception as error:  # a failed test must not cost the other verdicts
         reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {error_line(error)}"
-        return entry.model_copy(update={"test": entry.test.model_copy(update={"reason": reason})})
+        known |= {"ours": None, "interval": None, "runs": 0, "verdict": "inconclusive"}
+        return TestedClaim.model_validate({**known, "test": {**test, "reason": reason}})
     comparisons = [
-        ComparisonEntry(of=each.of, estimate=estimate, interval=[low, high])
+        {"of": each.of, "estimate": estimate, "interval": [low, high]}
         for each in finding.comparisons
         for estimate, low, high in [map(_rounded, astuple(each.interval))]
     ]
+    known |= {
+        "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),
+        "interval": comparisons[finding.comparisons.index(finding.decisive)]["interval"],
+        "runs": finding.runs,
+        "verdict": finding.verdict,
+    }
     found = {"method": finding.method, "comparisons": comparisons, "chosen": dict(finding.chosen)}
-    return entry.model_copy(
-        update={
-            "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),
-            "interval": comparisons[finding.comparisons.index(finding.decisive)].interval,
-            "runs": finding.runs,
-            "verdict": finding.verdict,
-            "test": entry.test.model_copy(update=found),
-        }
-    )
+    return TestedClaim.model_validate({**known, "test": {**test, **found}})
 
 
 def _rounded(value: float) -> float:
