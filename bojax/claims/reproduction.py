@@ -22,12 +22,6 @@ from bojax.text import error_line
 PAGE = "reproduction.html"
 TEXT = "reproduction.md"
 
-_NOTE = (
-    "Bounds, margins and windows that {source} not print are choices of bojax. They follow the word "
-    '"here" in the column of {column}; take them as set after a first look at results. A verdict that '
-    "rests on one is marked \N{DAGGER}."
-)
-
 
 @dataclass(frozen=True)
 class Words:
@@ -41,7 +35,11 @@ class Words:
     @property
     def note(self) -> str:
         """The paragraph on bounds."""
-        return _NOTE.format(source=self.does, column=self.column)
+        return (
+            f"Bounds, margins and windows that {self.does} not print are choices of bojax. They follow the "
+            f'word "here" in the column of {self.column}; take them as set after a first look at results. '
+            "A verdict that rests on one is marked \N{DAGGER}."
+        )
 
 
 THESIS = Words("Reproduction of the thesis", "the thesis does", "thesis", "the thesis")
@@ -123,11 +121,8 @@ def _recounted(page: Path, entries: Sequence[TestedClaim]) -> str:
     except (OSError, ValueError) as error:
         raise ResultsError(f"{page}: cannot be read: {error_line(error)}") from error
     claims = claims_among(entries)
-    counts = [
-        len(claims),
-        *(count for _, _, count in tally(claims)),
-        sum(claim.own_bound for claim in claims),
-    ]
+    bounds = sum(claim.own_bound for claim in claims)
+    counts = len(claims), *(count for _, _, count in tally(claims)), bounds
     numbers = "Of {}\\g<1>{}\\g<2>{}\\g<3>{}\\g<4>{}".format(*counts)
     text, times = _COUNTS.subn(numbers, text)
     if times != 1:
@@ -150,19 +145,16 @@ def _write(
     for sweep in sweeps:
         if sweep.manifest.status == "failed":
             errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
-            gaps = [
-                *gaps,
-                (sweep.manifest.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}"),
-            ]
+            reason = f"some runs are missing: {'; '.join(errors) or 'unknown error'}"
+            gaps = [*gaps, (sweep.manifest.name, reason)]
     rows = sorted(
         (Row.of(sweep, entry) for sweep in sweeps for entry in sweep.entries), key=lambda row: row.order
     )
     chapters = [Chapter.of(*each) for each in groupby(rows, key=lambda row: row.chapter)]
     words = THESIS if any(row.chapter for row in rows) or not rows else OTHERS
     manifests = [sweep.manifest for sweep in sweeps]
-    origins = list(
-        dict.fromkeys(each.origin for each in sorted(sweeps, key=lambda sweep: sweep.manifest.written))
-    )
+    by_time = sorted(sweeps, key=lambda sweep: sweep.manifest.written)
+    origins = list(dict.fromkeys(each.origin for each in by_time))
     values = {
         "title": words.title,
         "words": words,

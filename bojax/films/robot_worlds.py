@@ -25,12 +25,11 @@ _MATERIAL_COLOUR = [0.5, 0.5, 0.5, 1.0]  # MuJoCo's default: the colour of the m
 _WALL, _PARKING_SPOT = [0.4, 0.42, 0.45, 1.0], [0.36, 0.62, 0.45, 1.0]
 
 
-def car_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
+def car_world(outline: Outline) -> RobotModel:
     """The wheeled robot on a floor that covers the domain, with obstacles and goals, whatever the ground.
 
     The camera `side` follows the robot, which is small compared with most domains.
     """
-    del ground
     spec = packaged("car").spec()
     middle, half = _centred(outline.border or _DEFAULT_DOMAIN)
     floor = spec.geom("floor")
@@ -81,7 +80,7 @@ ENVS: Mapping[str, Callable[[Any], RobotModel]] = {
 """Function from the settings of a robot environment to its model, by kind."""
 
 VEHICLES: Mapping[str, Callable[[Outline, Heights | None], RobotModel]] = {
-    "wheeled-robot": car_world,
+    "wheeled-robot": lambda outline, ground: car_world(outline),
     "quadrotor": quadrotor_world,
 }
 """Function from the outline of a problem and the true values of its field to a model, by kind of vehicle."""

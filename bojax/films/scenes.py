@@ -54,7 +54,6 @@ class Replay(Protocol):
     @property
     def observation(self) -> Any:
         """Observation before the next step, `[D]` or an integer."""
-        ...
 
     def begin(self) -> None:
         """Go to the start of the episode."""
