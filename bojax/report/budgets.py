@@ -80,10 +80,7 @@ def held(table: Floats, ends: NDArray[np.integer], is_final: NDArray[np.bool_]) 
 
 
 def within_budget(table: Floats, ends: NDArray[np.integer], is_final: NDArray[np.bool_]) -> Floats:
-    """Values of a setting `[runs, n]`, NaN after the last column at which a run ended.
-
-    Nothing is replaced if all its runs are final.
-    """
+    """Values of a setting `[runs, n]`, NaN after the last end of a run unless all runs are final."""
     if is_final.all():
         return table
     return np.where(np.arange(table.shape[1]) > ends.max(), np.nan, table)

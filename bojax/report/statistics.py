@@ -397,10 +397,7 @@ def share_band(flags: ArrayLike) -> Band:
 
 
 def wilson(successes: ArrayLike, trials: ArrayLike, tail: float | None = None) -> tuple[Floats, Floats]:
-    """Bounds of Wilson's score interval for a share (Wilson 1927, eq. 1), without continuity correction.
-
-    NaN where there are no trials.
-    """
+    """Bounds of Wilson's score interval, without continuity correction (1927, eq. 1); NaN without trials."""
     n = np.asarray(trials, dtype=np.float64)
     n = np.where(n > 0, n, np.nan)
     count = np.where(n > 0, np.asarray(successes, dtype=np.float64), np.nan)
@@ -420,10 +417,7 @@ def share_interval(flags: ArrayLike) -> Interval:
 
 
 def share_difference(successes: int, trials: int, other_successes: int, other_trials: int) -> Interval:
-    """Difference of two independent shares with the hybrid score interval (Newcombe 1998, method 10).
-
-    NaN if there are no trials of one of them.
-    """
+    """Difference of two independent shares, hybrid score interval (Newcombe 1998, method 10)."""
     if not (trials and other_trials):
         return Interval()
     first, second = successes / trials, other_successes / other_trials

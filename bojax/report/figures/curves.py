@@ -25,10 +25,7 @@ _TAIL = 0.05
 
 
 def accumulated_reward(results: Results) -> Drawing:
-    """Every planner's mean accumulated reward by step (Fig. 4.6 of the thesis), from 0 at step 0.
-
-    A run that has ended keeps its value.
-    """
+    """Every planner's mean accumulated reward by step, from 0 at step 0 (Fig. 4.6 of the thesis)."""
     if any(point.is_learning for point in results.points):
         raise FigureUnavailable("a run of a learner has many episodes: learning-curves shows them")
     points, note = drawn_points(results)
@@ -64,13 +61,7 @@ def success(results: Results) -> Drawing:
 
 
 def learning_curves(results: Results) -> Drawing:
-    """Mean return by training episode and, below it, of the tests after it where there are any.
-
-    Figs. 5.2 to 5.5 of the thesis, with bands.
-
-    `report.rolling` is the number of episodes over which the return of each run is averaged up to each
-    episode; `report.best_return` is drawn as a line.
-    """
+    """Mean return by training episode and, below, of any tests after it (Figs. 5.2 to 5.5 of the thesis)."""
     if results.num_episodes < 2:
         raise FigureUnavailable("no run had more than one episode")
     points, note = drawn_points(results)
@@ -143,10 +134,7 @@ def limit(axes: Axes, panel: Panel, lines: Sequence[float]) -> bool:
 
 
 def success_episodes(results: Results) -> Drawing:
-    """Share of runs that have reached the goal by each training episode (Table 5.3 of the thesis).
-
-    The axis ends soon after the last run that reaches the goal for the first time.
-    """
+    """Share of runs that have reached the goal by each training episode (Table 5.3 of the thesis)."""
     if not results.num_episodes:
         raise FigureUnavailable("the results have no episodes")
     points, note = drawn_points(results)
@@ -155,7 +143,7 @@ def success_episodes(results: Results) -> Drawing:
     firsts = [*when, *(each.first for each in others)]
     latest = max(first[np.isfinite(first)].max(initial=1) for first in firsts)
     longest = max([results.num_episodes, *(each.success.shape[1] for each in others)])
-    last = min(longest, max(10, int(1.2 * latest)))
+    last = min(longest, max(10, int(1.2 * latest)))  # soon after the last run that reaches it
     x = np.arange(last + 1.0)
     shares = [
         within_budget(
@@ -173,10 +161,7 @@ def success_episodes(results: Results) -> Drawing:
 
 
 def solved_episodes(results: Results) -> Drawing:
-    """Mean number of training episodes solved up to each one (Fig. 5.8b of the thesis).
-
-    A run that success ended keeps its number.
-    """
+    """Mean number of training episodes solved up to each one (Fig. 5.8b of the thesis)."""
     points, note = drawn_points(results)
     curves = []
     for point in points:

@@ -40,10 +40,7 @@ BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
 
 
 def settings(results: Results) -> Drawing:
-    """For each value of a swept setting, the best and the mean over all other settings.
-
-    Each swept list of values has a panel, with two curves per label.
-    """
+    """For each value of a swept setting, the best and the mean over all other settings, by label."""
     measure, points = measure_of(results), results.run_points
     names, keys = curves_and_panels(points)
     curves = list(dict.fromkeys(names))
@@ -129,10 +126,7 @@ def _short(value: Any) -> str:
 
 
 def heat_map(results: Results) -> Drawing:
-    """At each pair of values of two swept numbers, the best mean over all other settings.
-
-    Each variant has a panel, on a common scale of colours; the best cell has a frame.
-    """
+    """At each pair of values of two swept numbers, the best mean over all other settings, by variant."""
     measure, points = measure_of(results), results.run_points
     horizontal, vertical = _keys(results, points)
     points = [point for point in points if {horizontal, vertical} <= point.swept.keys()]

@@ -30,10 +30,7 @@ _SHARED: dict[str, Any] = {"is_compressed": True, "sharex": True, "sharey": True
 
 
 def beliefs(results: Results) -> Drawing:
-    """The final belief of one run per point beside the true field (Figs. 3.2 and 3.5 of the thesis).
-
-    Each has a row of true field, mean, error and standard deviation; field and mean share a scale.
-    """
+    """The final belief of one run per point beside the true field (Figs. 3.2 and 3.5 of the thesis)."""
     found, note = first_beliefs(results, MAX_MAPS)
     points, maps = [point for point, _, _ in found], [_maps(belief) for _, _, belief in found]
     norms = _norms(maps)
@@ -82,10 +79,7 @@ def _norms(maps: Sequence[Mapping[str, Floats]]) -> dict[str, Normalize]:
 
 
 def surfaces(results: Results) -> Drawing:
-    """The true surface, and the final mean of one run per point with the path of the robot on it.
-
-    Figs. 3.5 and 3.7 of the thesis.
-    """
+    """The true surface, and the final mean of one run per point (Figs. 3.5 and 3.7 of the thesis)."""
     maps, note = first_beliefs(results, MAX_MAPS - 1, of_heights=True)
     truth = maps[0][2]["truth"]
     maps = [entry for entry in maps if np.array_equal(entry[2]["truth"], truth)]
@@ -152,10 +146,7 @@ def _path(paths: Mapping[str, Any], belief: Belief) -> Floats:
 
 
 def error_map(results: Results) -> Drawing:
-    """The centred error of the final mean of one run per point (Fig. 3.8 of the thesis).
-
-    All are on a common scale; props are outlined.
-    """
+    """The centred error of the final mean of one run per point (Fig. 3.8 of the thesis)."""
     maps, note = first_beliefs(results, MAX_MAPS, of_heights=True)
     errors = [belief["mean"] - belief["truth"] for _, _, belief in maps]
     offsets = [float(error.mean()) for error in errors]

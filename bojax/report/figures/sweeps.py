@@ -125,10 +125,7 @@ def _swept_number(results: Results) -> str:
 
 
 def growth(results: Results) -> Drawing:
-    """The curves of `sweep-curve` with the nearest law of growth, on linear and on logarithmic axes.
-
-    Figs. 5.6b and 5.6c of the thesis.
-    """
+    """The curves of `sweep-curve` with the nearest law of growth (Figs. 5.6b and 5.6c of the thesis)."""
     panel, over, column, note = swept_panel(results)
     laws = [(curve, law) for curve in panel.curves if (law := nearest_law(curve)) is not None]
     if not laws:
