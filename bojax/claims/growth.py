@@ -38,14 +38,13 @@ def growth(results: Results, test: Growth) -> Finding:
     resampled = {law: laws.fit(law, x, means, errors).misfit for law in laws.LAWS}
     wins = np.bincount(np.argmin(list(resampled.values()), axis=0), minlength=len(laws.LAWS)) / len(means)
     shares = dict(zip(laws.LAWS, wins, strict=True))
-    comparisons = [
-        Comparison(
-            f"misfit of {law} / misfit of {expected}",
-            _ratio(fits[law].misfit, fits[expected].misfit, resampled[law], resampled[expected]),
-        )
-        for law in laws.LAWS
-        if law != expected
-    ]
+    comparisons, tiny = [], np.finfo(np.float64).tiny
+    for law in laws.LAWS:
+        if law != expected:
+            ratio = float(fits[law].misfit / max(fits[expected].misfit, tiny))
+            ratios = resampled[law] / np.maximum(resampled[expected], tiny)
+            interval = statistics.Interval(ratio, *statistics.central(ratios))
+            comparisons.append(Comparison(f"misfit of {law} / misfit of {expected}", interval))
     best = max(shares, key=lambda law: shares[law])
     verdict: Verdict = "inconclusive"
     if shares[best] >= 1 - 2 * statistics.tail_in_use():
@@ -94,9 +93,3 @@ def _samples(results: Results, test: Growth) -> tuple[Floats, Floats]:
     if not (np.nanmean(table, axis=0) > 0).all():
         raise Undecidable(f"the means of {test.column} are not positive: no law of growth holds")
     return x, table
-
-
-def _ratio(above: Any, below: Any, many_above: Any, many_below: Any) -> statistics.Interval:
-    tiny = np.finfo(np.float64).tiny
-    bounds = statistics.central(many_above / np.maximum(many_below, tiny))
-    return statistics.Interval(float(above / max(below, tiny)), *bounds)

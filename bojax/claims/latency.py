@@ -24,14 +24,11 @@ def latency(results: Results, test: Latency) -> Finding:
         ours, claimed = times[first].estimate, f"below {test.below:g} s"
     else:
         others = [(first, name) for name in test.labels[1:]]
-        comparisons = [
-            Comparison(
-                f"{slow} / {quick}",
-                statistics.Interval(b.estimate / a.estimate, b.low / a.high, b.high / a.low),
-            )
-            for quick, slow in (others if test.factor else pairwise(test.labels))
-            for a, b in [(times[quick], times[slow])]
-        ]
+        comparisons = []
+        for quick, slow in others if test.factor else pairwise(test.labels):
+            a, b = times[quick], times[slow]
+            ratio = statistics.Interval(b.estimate / a.estimate, b.low / a.high, b.high / a.low)
+            comparisons.append(Comparison(f"{slow} / {quick}", ratio))
         bounds = (1.0 / test.factor, test.factor) if test.factor else (1.0, None)
         by_time = sorted(times.items(), key=lambda pair: pair[1].estimate)
         ours = " < ".join(f"{name} {number(time.estimate)} s" for name, time in by_time)

@@ -63,13 +63,10 @@ def _means(results: Results, test: Mean, measure: Measure) -> Finding:
     table = table.astype(np.float64)
     side, threshold = ("above", test.above) if test.below is None else ("below", test.below)
     assert threshold is not None  # the schema requires one
-    comparisons = [
-        Comparison(
-            f"{each} of {test.label}",
-            statistics.Interval(*(bound + threshold for bound in dataclasses.astuple(interval))),
-        )
-        for each, interval in zip(measures, statistics.holm_intervals(table - threshold), strict=True)
-    ]
+    comparisons = []
+    for each, interval in zip(measures, statistics.holm_intervals(table - threshold), strict=True):
+        shifted = statistics.Interval(*(bound + threshold for bound in dataclasses.astuple(interval)))
+        comparisons.append(Comparison(f"{each} of {test.label}", shifted))
     ours = ", ".join(
         f"{each.column} {number(mean)}" for each, mean in zip(measures, table.mean(axis=0), strict=True)
     )

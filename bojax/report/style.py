@@ -123,10 +123,8 @@ def settings() -> Iterator[list[str]]:
 
     Its list has, at the end, matplotlib's warnings of characters that no font has, which alone are not shown.
     """
-    fonts = [
-        *_SETTINGS["font.family"],
-        *(name for name in _FALLBACKS if name in fontManager.get_font_names()),
-    ]
+    installed = fontManager.get_font_names()
+    fonts = [*_SETTINGS["font.family"], *(name for name in _FALLBACKS if name in installed)]
     settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_SETTINGS, "font.family": fonts}
     del settings["backend"]  # a notebook keeps its own, which `rc_context` would not restore
     missing: list[str] = []

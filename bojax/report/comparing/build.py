@@ -153,16 +153,12 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
         + (f", P(better) {percent(share.estimate)}" if each is not reference else "")
         for each, mean, middle, share in zip(methods, means, iqms, better, strict=True)
     ]
+    compared = f", and the probability that a run is better than one of {reference.name}" * (len(panels) > 2)
     return Drawing(
         figure=figure,
         title="Scores",
-        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(reference, measure)}"
-        + (
-            f", and the probability that a run is better than one of {reference.name}"
-            if len(panels) > 2
-            else ""
-        )
-        + f", with 95% intervals.{note}",
+        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(reference, measure)}{compared}"
+        f", with 95% intervals.{note}",
         alt=f"Dot plots with intervals. {'; '.join(told)}.",
     )
 

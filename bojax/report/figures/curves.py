@@ -145,13 +145,10 @@ def success_episodes(results: Results) -> Drawing:
     longest = max([results.num_episodes, *(each.success.shape[1] for each in others)])
     last = min(longest, max(10, int(1.2 * latest)))  # soon after the last run that reaches it
     x = np.arange(last + 1.0)
-    shares = [
-        within_budget(
-            (first[:, None] <= x).astype(np.float64), results.episodes_of(point), np.isfinite(first)
-        )
-        for point, first in zip(points, when, strict=True)
-    ]
-    curves = [Curve(point, x, share) for point, share in zip(points, shares, strict=True)]
+    curves = []
+    for point, first in zip(points, when, strict=True):
+        share = (first[:, None] <= x).astype(np.float64)
+        curves.append(Curve(point, x, within_budget(share, results.episodes_of(point), np.isfinite(first))))
     curves += [Curve(each.point, x, (each.first[:, None] <= x).astype(np.float64)) for each in others]
     what = "runs that have reached the goal"
     panel = Panel(f"{what} (%)", f"share of {what}", curves, is_share=True)

@@ -83,14 +83,10 @@ def errors_by_distance(results: Results) -> Drawing:
         raise FigureUnavailable("steps.parquet has no errors by distance: problem.errors_by_step is false")
     longest = max(float(np.max(results.steps_of(point)["distance"], initial=0.0)) for point in points)
     marks = np.linspace(0.0, longest, MARKS + 1)[1:]
-    panels = [
-        Panel(
-            name,
-            f"{name} averaged over runs",
-            [Curve(point, marks, _at(results, point, column, marks), (0, np.inf)) for point in points],
-        )
-        for column, name in ERRORS.items()
-    ]
+    panels = []
+    for column, name in ERRORS.items():
+        curves = [Curve(point, marks, _at(results, point, column, marks), (0, np.inf)) for point in points]
+        panels.append(Panel(name, f"{name} averaged over runs", curves))
     details = "Errors of the belief after the last step before each distance; a run has none beyond its end."
     return Chart(panels, "distance (m)").drawing("Errors by distance", details, note)
 

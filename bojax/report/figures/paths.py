@@ -126,6 +126,7 @@ def stops(ends: Sequence[Floats], steps: Sequence[Floats]) -> Floats:
 
 def _legend(points: Sequence[Point], outcomes: set[bool] | None, *, has_stops: bool) -> list[tuple[Any, str]]:
     """Entries for paths, by outcome or None, and for the shapes of the domains."""
+    has_walls = any(each.outline.obstacles or each.outline.area for each in points)
     specks = {is_speck(point.outline, shape) for point in points for shape in point.outline.goals}
     line = Line2D([], [], color=style.INK, linewidth=1.4)
     failure = Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES)
@@ -138,11 +139,7 @@ def _legend(points: Sequence[Point], outcomes: set[bool] | None, *, has_stops: b
         (False in (outcomes or ()), failure, "failure"),
         (True, Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
         (has_stops and outcomes is None, stopped, "stopped"),
-        (
-            any(each.outline.obstacles or each.outline.area for each in points),
-            Patch(facecolor=WALL),
-            "obstacle",
-        ),
+        (has_walls, Patch(facecolor=WALL), "obstacle"),
         (True in specks, (ring, Line2D([], [], **_RING, markersize=2.5)), "goal"),
         (False in specks, Patch(**TARGET), "goal"),
     ]

@@ -92,17 +92,11 @@ def _tables(league: League) -> dict[str, Table]:
 
 
 def _comparisons(aims: list[Aim]) -> Table:
-    rows = [
-        (
-            each.short,
-            [Cell(text) for text in (
-                comparison.where, comparison.rival, in_words(comparison), f"{comparison.starts}",
-                comparison.verdict,
-            )],
-        )
-        for each in aims
-        for comparison in each.comparisons
-    ]  # fmt: skip
+    rows = []
+    for aim in aims:
+        for each in aim.comparisons:
+            texts = each.where, each.rival, in_words(each), f"{each.starts}", each.verdict
+            rows.append((aim.short, [Cell(text) for text in texts]))
     headings = ["where", "against", "error relative to it", "starts", "verdict"]
     return Table(headings, rows, "Change of the error [95% interval over starts]")
 

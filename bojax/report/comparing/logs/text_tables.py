@@ -30,13 +30,8 @@ class TextTable:
     def column(self, place: int) -> Floats:
         """The numbers of a column, `[rows]`; NaN in empty cells and beyond the end of a row."""
         name = self.header[place]
-        return np.array(
-            [
-                as_number(row[place], f"{self.path}: line {line}: {name}") if place < len(row) else np.nan
-                for line, row in self.rows
-            ],
-            dtype=np.float64,
-        )
+        cells = [(line, row[place] if place < len(row) else "") for line, row in self.rows]
+        return np.array([as_number(cell, f"{self.path}: line {line}: {name}") for line, cell in cells])
 
 
 def table_of(path: Path, text: str, *, first_line: int = 1) -> TextTable:
