@@ -179,11 +179,7 @@ class Results:
 
     @cached_property
     def latency(self) -> Latency:
-        """The latency of single runs; without any seconds if it was not measured.
-
-        Raises:
-            ResultsError: The file is damaged, or was measured for other settings.
-        """
+        """The latency of single runs, measured for these settings; without seconds if it was not measured."""
         path = self.folder / LATENCY
         if not path.exists():
             return Latency()

@@ -217,11 +217,7 @@ class Declaration:
         return replace(varied, record=varied.record.model_copy(update={"runs": 0}), report={})
 
     def with_changes(self, changes: Mapping[str, Any]) -> "Declaration":
-        """The analysis with another number of runs, which holds for the fresh seeds as well, or another seed.
-
-        Raises:
-            ConfigError: A value is not allowed.
-        """
+        """The analysis with another number of runs, also of those on fresh seeds, or another seed."""
         content = {**self.file.model_dump(mode="json"), **changes}
         if "runs" in changes:
             content["confirm"] = content["confirm"] | {"runs": changes["runs"]}
@@ -257,11 +253,7 @@ def _compares(claim: Claim, point: Point) -> bool:
 
 
 def declared(source: str) -> Declaration:
-    """The analysis of a file, or of a name in `sweeps/multiverse`, all of whose values were tried.
-
-    Raises:
-        ConfigError: The file or a choice is wrong.
-    """
+    """The analysis of a file, or of a name in `sweeps/multiverse`, all of whose values were tried."""
     path = _find(source)
     where = display(path)
     try:

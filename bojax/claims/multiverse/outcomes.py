@@ -129,11 +129,7 @@ def begin(declaration: Declaration) -> Multiverse:
 
 
 def read(folder: Path, declaration: Declaration | None = None) -> Multiverse:
-    """The outcomes in a folder; without a file, an analysis without outcomes.
-
-    Raises:
-        ResultsError: The file is damaged, or belongs to another declaration.
-    """
+    """The outcomes in a folder, of the given declaration; without a file, an analysis without outcomes."""
     path = folder / FILE
     if declaration is not None and not path.exists():
         return begin(declaration)

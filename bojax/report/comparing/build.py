@@ -31,10 +31,9 @@ def compare(
     options: Options | None = None,
     command: str = "",
 ) -> Path:
-    """Write a comparison into the folder `out`, which is made, and return `comparison.html`.
+    """Write a comparison into the folder `out` once all is ready, and return `comparison.html`.
 
-    Nothing is written before everything is ready. The files are CSV, or files and folders as other libraries
-    write them.
+    The files are CSV, or files and folders as other libraries write them.
     """
     options = options or Options()
     results, sources = [load(folder) for folder in folders], [opened(path) for path in files]

@@ -41,11 +41,7 @@ class Rows:
 def read_curves(path: Path) -> list[Rows]:
     """Read a CSV file with the columns `label, run, x, value` and optionally `task`, in any order.
 
-    Rows may have any order. Labels are listed in the order of their first rows.
-
-    Raises:
-        ResultsError: The file cannot be read, a column is missing or unknown, a cell is empty or no number,
-            or two rows have the same label, run and x; one line.
+    Rows differ in label, task, run or x, in any order; labels are listed in the order of their first rows.
     """
     text = text_of(path)
     if not text.strip():

@@ -47,10 +47,7 @@ def evaluation_columns(path: Path, arrays: Mapping[str, Any]) -> Columns:
 def score_rows(path: Path, arrays: Mapping[str, Any]) -> list[Rows]:
     """The methods of score matrices `[runs, tasks]`, or `[runs]`, by name: a value for each run and task.
 
-    Tasks are numbered from 1, or named by an array `tasks` or `games`.
-
-    Raises:
-        ResultsError: Matrices have different tasks, or a score is not a finite number.
+    Tasks, the same for all matrices, are numbered from 1, or named by an array `tasks` or `games`.
     """
     named = next((arrays[name] for name in _TASKS if name in arrays), None)
     matrices = {name: _numbers(path, name, array) for name, array in arrays.items() if name not in _TASKS}

@@ -33,10 +33,7 @@ def rows_of(
 
     Runs keep the numbers in their names, unless one has none or two have the same: then they are counted.
     Without a column of the logs, it is one that corresponds to the metric, the column of bojax that is
-    compared.
-
-    Raises:
-        ResultsError: A log lacks the column, or is not logged by episode where that is the axis.
+    compared. Logs by step alone are refused where the axis is the episode.
     """
     groups: dict[tuple[str, Path | None], list[Log]] = {}
     for log in logs:

@@ -42,8 +42,7 @@ class Log:
 def logged(where: str, steps: Floats, values: Floats, *, is_episodic: bool = False) -> Logged:
     """The values of a column, without those that are NaN; of equal steps, the last one counts.
 
-    Raises:
-        ResultsError: Steps go backwards, or a number is out of its range; `where` names file and column.
+    Steps that go backwards and numbers out of their ranges are refused; `where` names file and column.
     """
     known = ~np.isnan(values)
     steps, values = steps[known], values[known]
