@@ -11,7 +11,7 @@ from pydantic import Field
 
 from bojax.config.errors import ConfigError, allowed_names, dotted, from_validation, shown
 from bojax.config.limits import TEXT, read_within
-from bojax.report.comparing.logs.text_tables import TextTable, table_of
+from bojax.report.comparing.logs.text_tables import table_of
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 
@@ -46,7 +46,29 @@ def read_curves(path: Path) -> list[Rows]:
     text = text_of(path)
     if not text.strip():
         raise ResultsError(f"{path}: is empty; allowed: the columns {', '.join(COLUMNS)} and rows")
-    return _parsed(table_of(path, text))
+    table = table_of(path, text)
+    header = table.header
+    _check_header(path, header)
+    cells: dict[tuple[str, str], dict[int, dict[float, float]]] = {}
+    for line, texts in table.rows:
+        place = f"{path}: line {line}"
+        if len(texts) != len(header):
+            raise ResultsError(f"{place}: got {len(texts)} cells; allowed: {len(header)}, as in the header")
+        try:
+            row = _Row.model_validate(dict(zip(header, map(str.strip, texts), strict=True)))
+        except pydantic.ValidationError as error:
+            told = from_validation(error, lambda at, place=place: f"{place}: {dotted(at)}")
+            raise ResultsError(str(told)) from error
+        values = cells.setdefault((row.label, row.task), {}).setdefault(row.run, {})
+        if row.x in values:
+            raise ResultsError(
+                f"{place}: x: got {row.x:g} of run {row.run} of {row.label} twice; allowed: once"
+            )
+        values[row.x] = row.value
+    return [
+        Rows(label, task, {run: tuple(np.array(sorted(runs[run].items())).T) for run in sorted(runs)})
+        for (label, task), runs in cells.items()
+    ]
 
 
 def text_of(path: Path) -> str:
@@ -60,32 +82,6 @@ def text_of(path: Path) -> str:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ResultsError(f"{path}: cannot be read: {reason}") from None
-
-
-def _parsed(table: TextTable) -> list[Rows]:
-    header = table.header
-    _check_header(table.path, header)
-    cells: dict[tuple[str, str], dict[int, dict[float, float]]] = {}
-    for line, texts in table.rows:
-        place = f"{table.path}: line {line}"
-        if len(texts) != len(header):
-            raise ResultsError(f"{place}: got {len(texts)} cells; allowed: {len(header)}, as in the header")
-        try:
-            row = _Row.model_validate(dict(zip(header, map(str.strip, texts), strict=True)))
-        except pydantic.ValidationError as error:
-            raise ResultsError(
-                str(from_validation(error, lambda at, place=place: f"{place}: {dotted(at)}"))
-            ) from error
-        values = cells.setdefault((row.label, row.task), {}).setdefault(row.run, {})
-        if row.x in values:
-            raise ResultsError(
-                f"{place}: x: got {row.x:g} of run {row.run} of {row.label} twice; allowed: once"
-            )
-        values[row.x] = row.value
-    return [
-        Rows(label, task, {run: tuple(np.array(sorted(runs[run].items())).T) for run in sorted(runs)})
-        for (label, task), runs in cells.items()
-    ]
 
 
 def _check_header(path: Path, header: Sequence[str]) -> None:
