@@ -122,7 +122,7 @@ class Order(Measured, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _one_direction(self) -> Self:
+    def _one_direction_in_whole_parts(self) -> Self:
         if (self.greater is None) == (self.less is None):
             raise ValueError("order: give either greater or less")
         _distinct(sum(self.tiers, ()), "less" if self.greater is None else "greater")
@@ -130,10 +130,6 @@ class Order(Measured, frozen=True):
             raise ValueError("margin: with a baseline it is a share of a lead, below 1 and not 0")
         if self.censored_at is not None and self.place is not None:
             raise ValueError("censored_at: needs a column of runs.parquet, without step or window")
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _whole_parts(self) -> Self:
         if self.parts > 1:
             window = self.window
             number = 0 if window is None else window.last - window.first + 1
