@@ -105,8 +105,13 @@ class Chart:
         self._points = [curve.point for curve, _, _ in self._named.drawn]
         self._names = style.drawn_names(self._points)
         self._parts = count()
-        self._longest = max(map(len, self._names))
         self._beside = [style.wrapped(name, _MAX_LINE) for name in self._names]
+        lines = [name.split("\n") for name in self._beside]
+        is_long = any(len(each) > _MAX_LINES or max(map(len, each)) > _MAX_LINE for each in lines)
+        is_listed = is_long or len(self._names) > _MAX_DIRECT
+        # Of the list of names below the figure; no rows if the names stand beside the curves
+        self._columns_below = 1 if max(map(len, self._names)) > 24 else 2
+        self._rows_below = math.ceil(len(self._names) / self._columns_below) if is_listed else 0
         height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + _ROW * self._rows_below
         if not self._rows_below:
             names = len(self._names) * max(name.count("\n") + 1 for name in self._beside)
@@ -191,19 +196,6 @@ class Chart:
             f"Line chart of the {panel.quantity}, by {self._xlabel}. "
             f"First and last value of each curve: {'; '.join(ends)}."
         )
-
-    @property
-    def _columns_below(self) -> int:
-        """Columns of the list of names below the figure."""
-        return 1 if self._longest > 24 else 2
-
-    @property
-    def _rows_below(self) -> int:
-        """Rows of this list; 0 if the names stand beside the curves."""
-        lines = [name.split("\n") for name in self._beside]
-        is_long = any(len(each) > _MAX_LINES or max(map(len, each)) > _MAX_LINE for each in lines)
-        is_listed = is_long or len(self._names) > _MAX_DIRECT
-        return math.ceil(len(self._names) / self._columns_below) if is_listed else 0
 
     def _add_names(self) -> None:
         """Names beside the right ends of the curves, or below the figure where they are many or long."""
