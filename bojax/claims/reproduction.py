@@ -59,14 +59,12 @@ _COUNTS = re.compile(
 def reproduction(folder: Path, sources: Sequence[Path], seconds: float) -> Path:
     """Write `reproduction.html` and `reproduction.md`, which has the same content without links to reports.
 
-    Beside them, the folder `reproduction` has a page for each chapter.
-    The sources are results folders, each with the `claims.json` of its report. A folder that is missing,
-    unfinished or damaged becomes one line of the page.
-    `seconds` is the wall time of the command that ran them. The explanations of the sweeps
-    (`report.explanations`) stand beside the claims, also if the results were made before they were written.
+    Beside them, the folder `reproduction` has a page for each chapter. The sources are results folders, each
+    with the `claims.json` of its report; one that is missing, unfinished or damaged becomes a line of the
+    page. `seconds` is the wall time of the command that ran them.
     """
     found, gaps = dict[str, AtHand](), []
-    for source in map(Path, sources):
+    for source in sources:
         try:
             results = load(source)
             found[results.manifest.name] = AtHand(results, read_claims(source))
@@ -82,10 +80,9 @@ def joined_reproduction(
 ) -> list[TestedClaim]:
     """Write pages on the newest results of each of some sweeps in several folders, and return their claims.
 
-    The claims and tests are taken from this version, see `bojax.claims.collected`. Sweeps may have been made
-    by different commands, revisions, devices and versions: the page says which command made each sweep.
-    Results of other sweeps of bojax are quoted by explanations. Multiverse analyses in the folders give the
-    share of configurations in which each claim holds, and have pages of their own.
+    The claims and tests are taken from this version, see `bojax.claims.collected`. Results of other sweeps of
+    bojax are quoted by explanations. Multiverse analyses in the folders give the share of configurations in
+    which each claim holds, and have pages of their own.
 
     Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,
     `counted_in`, have a sentence `_SENTENCE`, whose numbers are updated.
