@@ -294,29 +294,23 @@ def _check_choices(declaration: Declaration, where: str) -> None:
                 raise ConfigError(
                     f"{where}: choices.{name}.sweeps: got {shown(source)}; allowed: {listed(source, sweeps)}"
                 )
-    unused = {
-        (name, level)
-        for name, choice in declaration.file.choices.items()
-        for level in range(1, len(choice.values))
-    }
+    used: set[tuple[str, int]] = set()
     given: dict[tuple[str, int], list[tuple[str, int]]] = {}  # sweep and index of the points of each value
     for source in sweeps:
         tried, varied = declaration.one_at_a_time(source)
         points = [(point.swept[AXIS].split(), point.variant) for point in varied.points]
         for number, (name, level) in tried.items():
-            changed = [
-                variant for numbers, variant in points if str(number) in numbers and "0" not in numbers
-            ]
+            own = [index for index, (numbers, _) in enumerate(points) if str(number) in numbers]
+            changed = [points[index][1] for index in own if "0" not in points[index][0]]
             if changed and level == 0:
                 raise ConfigError(
                     f"{where}: choices.{name}.values: the first changes {changed[0]} of {source}; allowed: "
                     "first the value of the sweep itself"
                 )
             if changed:
-                unused.discard((name, level))
-            own = [(source, index) for index, (numbers, _) in enumerate(points) if str(number) in numbers]
-            given.setdefault((name, level), []).extend(own)
-    if unused:
+                used.add((name, level))
+            given.setdefault((name, level), []).extend((source, index) for index in own)
+    if unused := [choice for choice in given if choice[1] > 0 and choice not in used]:
         name, level = min(unused)
         value = declaration.file.choices[name].names[level]
         raise ConfigError(
