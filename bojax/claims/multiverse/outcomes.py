@@ -175,19 +175,12 @@ def with_shares(
 ) -> list[TestedClaim]:
     """The claims of a sweep, each with the share of configurations in which it holds, where that is known."""
     known = {
-        outcomes.id: outcomes
+        outcomes.id: {"share": outcomes.share().estimate, "configurations": len(outcomes.verdicts)}
         for multiverse in multiverses
         for outcomes in multiverse.claims
         if outcomes.sweep == sweep
     }
-    return [
-        claim.model_copy(
-            update={"share": outcomes.share().estimate, "configurations": len(outcomes.verdicts)}
-        )
-        if (outcomes := known.get(claim.id))
-        else claim
-        for claim in claims
-    ]
+    return [claim.model_copy(update=known.get(claim.id)) for claim in claims]
 
 
 def write(folder: Path, multiverse: Multiverse) -> None:
