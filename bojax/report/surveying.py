@@ -110,12 +110,11 @@ def _draw_route(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Dr
 def _draw_goal(survey: Mapping[str, Any], maps: Mapping[str, np.ndarray]) -> Drawing:
     """The weights of the goal."""
     drawn, _, _ = _draw_map(survey, maps, "weights", "weight in the error")
-    highest = maps["weights"].max()
     return Drawing(
         drawn,
         "What counts",
         f"Weight of each place in the error, a mean {survey['goal']['meaning']}; the mean weight is 1.",
-        f"A map of weights from {number(maps['weights'].min())} to {number(highest)}.",
+        f"A map of weights from {number(maps['weights'].min())} to {number(maps['weights'].max())}.",
     )
 
 
@@ -126,14 +125,9 @@ def _draw_map(
     side = survey["grid_spacing"]
     figure, axes, border, scale = _axes(maps, maps["outline"])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
-    cells = PolyCollection(
-        list((maps["grid"][:, None] + corners) / scale),
-        array=maps[name],
-        cmap=QUIET,
-        edgecolors="face",
-        linewidths=0.2,
-        zorder=0,  # below the border
-    )
+    look: dict[str, Any] = {"edgecolors": "face", "linewidths": 0.2, "zorder": 0}  # below the border
+    squares = list((maps["grid"][:, None] + corners) / scale)
+    cells = PolyCollection(squares, array=maps[name], cmap=QUIET, **look)
     cells.set_clim(0.0, float(maps[name].max()))
     cells.set_rasterized(True)
     axes.add_collection(cells)
@@ -150,15 +144,8 @@ def _draw_read(maps: Mapping[str, np.ndarray], read: Mapping[str, str], rows: np
     width, height = np.maximum(np.ptp(rows[:, :2], axis=0), 1e-9) / scale
     inches = axes.get_position().width * figure.get_figwidth() / np.ptp(axes.get_xlim())
     size = np.clip(72.0 * inches * (width * height / len(rows)) ** 0.5, 2.0, 6.0)  # places may lie on a line
-    drawn = axes.scatter(
-        *(rows[:, :2] / scale).T,
-        c=rows[:, 2],
-        s=(1.1 * size) ** 2,
-        marker="s",
-        linewidths=0.0,
-        rasterized=True,
-        zorder=0,
-    )
+    look: dict[str, Any] = {"marker": "s", "linewidths": 0.0, "rasterized": True, "zorder": 0}
+    drawn = axes.scatter(*(rows[:, :2] / scale).T, c=rows[:, 2], s=(1.1 * size) ** 2, **look)
     name = Path(read["file"]).name
     label = shortened(printed(read["label"] or "value"), 50)
     draw_scale(figure, drawn, [axes], shrink=0.7, label=label)
@@ -211,13 +198,9 @@ def _draw_errors(survey: Mapping[str, Any]) -> Drawing:
             axes.plot(np.asarray(each["distances"]) / scale, each["errors"], color="#C4C8CA", linewidth=0.8)
     for index, each in [*enumerate(named)][::-1]:  # the proposed route above the other
         is_mower = each["method"] == "lawnmower"
-        axes.plot(
-            np.asarray(each["distances"]) / scale,
-            each["errors"],
-            color=style.PALETTE[index],
-            linestyle=style.LINES[index],
-            label=f"best lawnmower ({each['detail']})" if is_mower else each["name"],
-        )
+        name = f"best lawnmower ({each['detail']})" if is_mower else each["name"]
+        look: dict[str, Any] = {"color": style.PALETTE[index], "linestyle": style.LINES[index]}
+        axes.plot(np.asarray(each["distances"]) / scale, each["errors"], label=name, **look)
     style.quiet_grid(axes)
     axes.set_ylim(bottom=0.0)
     axes.set_xlim(left=0.0)
@@ -236,12 +219,9 @@ def _draw_errors(survey: Mapping[str, Any]) -> Drawing:
 def _table(survey: Mapping[str, Any]) -> Table:
     rows = []
     for each in survey["candidates"]:
-        cells = [
-            _distance(each["length"]),
-            number(each["errors"][-1]),
-            ", ".join(str(len(route)) for route in each["routes"]),
-        ]
-        rows.append((each["name"], [Cell(text) for text in cells]))
+        waypoints = ", ".join(str(len(route)) for route in each["routes"])
+        texts = _distance(each["length"]), number(each["errors"][-1]), waypoints
+        rows.append((each["name"], [Cell(text) for text in texts]))
     caption = (
         "All routes that were compared, the proposed one first. Error: mean standard deviation "
         f"{survey['goal']['meaning']} that the model expects at the end. {survey['rule']}"

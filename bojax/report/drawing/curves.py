@@ -142,17 +142,9 @@ class Chart:
         low, high = axes.get_ylim()
         for name, value in sorted(levels.items(), key=lambda level: -level[1]):
             # A name that would cover the one above it is written below its line.
-            is_covered = above - value < 0.06 * (high - low)
-            axes.text(
-                0.99,
-                value,
-                style.drawn_text(name),
-                transform=axes.get_yaxis_transform(),
-                ha="right",
-                va="top" if is_covered else "bottom",
-                size="small",
-                color=style.INK,
-            )
+            place = "top" if above - value < 0.06 * (high - low) else "bottom"
+            look: dict[str, Any] = {"ha": "right", "va": place, "size": "small", "color": style.INK}
+            axes.text(0.99, value, style.drawn_text(name), transform=axes.get_yaxis_transform(), **look)
             above = value
 
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:

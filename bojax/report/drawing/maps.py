@@ -59,15 +59,9 @@ def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: 
     (x_min, x_max), (y_min, y_max) = ((float(each[0]), float(each[-1])) for each in places)
     x_step, y_step = (float(np.ptp(each) / max(1, len(each) - 1)) for each in places)
     limits = axes.get_xlim(), axes.get_ylim()
-    image = axes.imshow(
-        values,
-        origin="lower",
-        extent=(x_min - x_step / 2, x_max + x_step / 2, y_min - y_step / 2, y_max + y_step / 2),
-        norm=norm,
-        cmap=cmap,
-        interpolation="bilinear",
-        zorder=1,
-    )
+    extent = x_min - x_step / 2, x_max + x_step / 2, y_min - y_step / 2, y_max + y_step / 2
+    look: dict[str, Any] = {"norm": norm, "cmap": cmap, "interpolation": "bilinear", "zorder": 1}
+    image = axes.imshow(values, origin="lower", extent=extent, **look)
     edge = Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, transform=axes.transData)
     image.set_clip_path(edge)
     axes.set_xlim(limits[0])

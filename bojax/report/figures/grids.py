@@ -77,9 +77,8 @@ def settings(results: Results) -> Drawing:
     label_panels(grid, None, measure.label)
     if len(curves) > 1:
         names = distinct(map(style.drawn_text, curves))
-        style.legend(
-            figure, [handles[curve] for curve in curves], names, loc="outside lower center", ncols=columns
-        )
+        drawn = [handles[curve] for curve in curves]
+        style.legend(figure, drawn, names, loc="outside lower center", ncols=columns)
     winner = int(np.nanargmax(measure.sign * means))
     name = points[winner].name
     return Drawing(

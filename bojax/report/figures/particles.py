@@ -38,12 +38,8 @@ def particles(results: Results) -> Drawing:
         told.append(f"{point.name}: run {run}, {steps[-1]} steps")
     if columns == 1:
         grid[-1, 0].set_xlabel("step")
-    figure.legend(
-        *zip(*legend_of([sketch for _, _, sketch in shown]), strict=True),
-        loc="outside lower center",
-        ncols=4,
-        handletextpad=0.2,
-    )
+    entries = zip(*legend_of([sketch for _, _, sketch in shown]), strict=True)
+    figure.legend(*entries, loc="outside lower center", ncols=4, handletextpad=0.2)
     runs = joined(sorted({run for _, run, _ in shown}))
     num_drawn = max(next(iter(sketch.values())).shape[1] - 1 for _, _, sketch in shown)
     return Drawing(

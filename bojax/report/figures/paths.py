@@ -69,14 +69,10 @@ def paths(results: Results) -> Drawing:
         told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
     name_panels(grid.flat, points)
     label_panels(grid, "x (m)", "y (m)", labelpad=1)
-    figure.legend(
-        *zip(*_legend(points, outcomes if is_outcome_shown else None, has_stops=num_stops > 0), strict=True),
-        handler_map={tuple: HandlerTuple(ndivide=1)},
-        loc="outside lower center",
-        ncols=4 if is_outcome_shown else 3,
-        columnspacing=1.2,
-        handletextpad=0.5,
-    )
+    entries = _legend(points, outcomes if is_outcome_shown else None, has_stops=num_stops > 0)
+    columns = {"ncols": 4 if is_outcome_shown else 3, "columnspacing": 1.2, "handletextpad": 0.5}
+    pairs = {tuple: HandlerTuple(ndivide=1)}
+    figure.legend(*zip(*entries, strict=True), handler_map=pairs, loc="outside lower center", **columns)
     caption = (
         f"Of the recorded runs, the first {EXAMPLES} that succeeded (in colour) and the first "
         f"{EXAMPLES} that failed (grey, dashed)."
