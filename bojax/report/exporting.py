@@ -77,10 +77,8 @@ def exported(results: Results) -> list[ExportedPoint]:
     for point in results.run_points:
         about = {"runs": str(results.runs_of(point)["run"].size), "seed": plain(results.manifest.seed)}
         settings = dict(flatten(point.config)) | about
-        scalars, curves = _scalars(results, point), _curves(results, point, kind == "learning")
-        points.append(
-            ExportedPoint(results.manifest.name, point.name, point.index, settings, scalars, curves)
-        )
+        found = settings, _scalars(results, point), _curves(results, point, kind == "learning")
+        points.append(ExportedPoint(results.manifest.name, point.name, point.index, *found))
     return points
 
 

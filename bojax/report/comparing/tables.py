@@ -33,16 +33,14 @@ def remarks(task: Task, measure: Measure) -> str:
     first = task.methods[0]
     if not (first.has_curve or measure.column in ENDS):
         return ""
-    cut = {each.name: each.cut_off for each in task.methods}
-    late = {each.name: each.without_value for each in task.methods}
+    cut = _listed({each.name: each.cut_off for each in task.methods})
+    late = _listed({each.name: each.without_value for each in task.methods})
     budget = f"{measure.unit} {first.at:,.10g}"
     counts = "their last values count" if first.has_curve else "the whole budget counts"
     told = [
         f"The budget of all scores is {budget}.",
-        f"Cut off before it, without a success, so that {counts}: {_listed(cut)}."
-        if any(cut.values())
-        else "",
-        f"Without a value up to it: {_listed(late)}." if any(late.values()) else "",
+        f"Cut off before it, without a success, so that {counts}: {cut}." if cut else "",
+        f"Without a value up to it: {late}." if late else "",
     ]
     return " ".join(filter(None, told))
 
