@@ -144,9 +144,8 @@ def _write(
             errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
             reason = f"some runs are missing: {'; '.join(errors) or 'unknown error'}"
             gaps = [*gaps, (sweep.manifest.name, reason)]
-    rows = sorted(
-        (Row.of(sweep, entry) for sweep in sweeps for entry in sweep.entries), key=lambda row: row.order
-    )
+    entries = (Row.of(sweep, entry) for sweep in sweeps for entry in sweep.entries)
+    rows = sorted(entries, key=lambda row: row.order)
     chapters = [Chapter.of(*each) for each in groupby(rows, key=lambda row: row.chapter)]
     words = THESIS if any(row.chapter for row in rows) or not rows else OTHERS
     manifests = [sweep.manifest for sweep in sweeps]
@@ -199,14 +198,13 @@ def _summary(sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]], words: Wo
     claims = claims_among(entries)
     bounds = sum(claim.own_bound for claim in claims)
     others, changed = len(entries) - len(claims), sum(bool(claim.changed) for claim in claims)
+    were = "was" if changed == 1 else "were"
     sentences = [
         f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: "
         f"{verdicts_in_words(claims)}; {bounds} of them rest on a bound that {words.does} not print.",
         causes_of(each for sweep in sweeps for each in sweep.explanations),
         f"Variants and checks, {others} in all, are shown beside them and not counted." if others else "",
-        f"{counted(changed, 'claim')} {'was' if changed == 1 else 'were'} tested with changed settings."
-        if changed
-        else "",
+        f"{counted(changed, 'claim')} {were} tested with changed settings." if changed else "",
         f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
     ]
     return " ".join(filter(None, sentences))

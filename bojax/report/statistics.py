@@ -201,9 +201,8 @@ def interval_of_means(
     if n < 2:
         return Interval(estimate)
     if n >= FEW:
-        return Interval(
-            estimate, *central(statistic(bootstrap_means(table) if resampled is None else resampled), tail)
-        )
+        means = bootstrap_means(table) if resampled is None else resampled
+        return Interval(estimate, *central(statistic(means), tail))
     from scipy import special  # takes a tenth of a second to import, and few reports need it
 
     left_out = np.asarray(statistic((table.sum(axis=0) - table) / (n - 1)), dtype=np.float64)

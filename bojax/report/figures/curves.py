@@ -75,9 +75,7 @@ def learning_curves(results: Results) -> Drawing:
                 tables = [rolling_mean(each.returns[:, : results.num_episodes], rolling) for each in others]
                 pairs = zip((each.point for each in others), tables, strict=True)
                 curves += [Curve.numbered(*pair, first=1) for pair in pairs]
-            missing = (
-                "A run that ended otherwise is left out after its last episode." if phase == "train" else ""
-            )
+            missing = "A run that ended otherwise is left out after its last episode." * (phase == "train")
             panels.append(Panel(label, quantity, curves, missing=missing))
     best = results.report.best_return
     chart, is_cut = Chart(panels, "episode"), False
@@ -85,11 +83,10 @@ def learning_curves(results: Results) -> Drawing:
         if best is not None:
             axes.axhline(best, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)), zorder=0.8)
         is_cut |= limit(axes, panel, [] if best is None else [best])
+    averaged = f"The return of each run is its mean over the last {counted(rolling, 'episode')}."
     details = [
         KEPT if results.has_early_success else "",
-        f"The return of each run is its mean over the last {counted(rolling, 'episode')}."
-        if rolling > 1
-        else "",
+        averaged if rolling > 1 else "",
         "" if best is None else f"Dashed: the best return possible, {number(best)}.",
         "Extreme values lie beyond the axis." if is_cut else "",
         NOTE if others else "",

@@ -66,9 +66,8 @@ def value_maps(results: Results) -> Drawing:
     figure.supylabel(second, fontsize=10.5)
     grid[-1, columns // 2].set_xlabel(first)
     if image is not None:
-        draw_scale(figure, image, grid.flat, aspect=32).set_label(
-            "exploration value U (discounted exploration reward)"
-        )
+        bar = draw_scale(figure, image, grid.flat, aspect=32)
+        bar.set_label("exploration value U (discounted exploration reward)")
     # Exploration rewards of these learners are at most 0, and so is the sum that U predicts.
     is_beyond = values.max() > 0 and rows[0].point.label.startswith("emu-q")
     beyond = " Above 0, where U cannot be, the model extrapolates: clips_u of the learner bounds its targets."
