@@ -130,14 +130,12 @@ class _Map:
         axes.set_xticks([])
         axes.set_yticks([])
         self._image: AxesImage | None = None
-        line, spot = INK, BLUE
         if name is not None:
             self._image = _values(axes, drive, name)
             axes.set_title(_TITLES[name], fontsize=9, pad=3)
-            if name == "mean":
-                line = spot = "white"
-            elif name == "std":  # dark blue at first, and nearly white where samples were taken
-                spot = "white"
+        spot = "white" if name in _BELIEF else BLUE
+        # The deviation is dark blue at first, and nearly white where samples were taken.
+        line = "white" if name == "mean" else INK
         scale = 1.0 if axes.get_window_extent().width > 300 else 0.7
         style: dict[str, Any] = {"zorder": 5, "solid_capstyle": "round"}
         (self._path,) = axes.plot([], [], color=spot, linewidth=1.8 * scale, **style)

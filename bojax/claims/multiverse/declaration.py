@@ -206,14 +206,9 @@ class Declaration:
         It has the claims alone, and the points that they compare: a variant is a claim under other settings,
         which is what the choices are for.
         """
-        varied = vary(
-            self.source_of(source),
-            AXIS,
-            {number: self.settings(source, self.configurations[number]) for number in numbers},
-            self.file.runs if runs is None else runs,
-            self.file.seed if seed is None else seed,
-        )
-        varied = _with_claims_alone(varied)
+        variations = {number: self.settings(source, self.configurations[number]) for number in numbers}
+        runs, seed = (self.file.runs if runs is None else runs), (self.file.seed if seed is None else seed)
+        varied = _with_claims_alone(vary(self.source_of(source), AXIS, variations, runs, seed))
         return replace(varied, record=varied.record.model_copy(update={"runs": 0}), report={})
 
     def with_changes(self, changes: Mapping[str, Any]) -> "Declaration":

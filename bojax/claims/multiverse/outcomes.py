@@ -200,8 +200,7 @@ def evaluated(
     found: dict[int, list[Entry]] = {number: [] for number in numbers}
     for source in declaration.file.sweeps:
         results = load(folders[source])
-        claims = [claim for claim in results.claims if isinstance(claim, Claim)]
-        tested = [claim for claim in claims if claim.test.kind != "latency"]
+        tested = [each for each in results.claims if isinstance(each, Claim) and each.test.kind != "latency"]
         for number in numbers:
             entries = evaluate(configuration_of(results, number), tested)
             found[number] += [(claim, source, entry) for claim, entry in zip(tested, entries, strict=True)]

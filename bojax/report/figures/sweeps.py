@@ -75,16 +75,16 @@ def readable(curves: list[Curve], *, is_least: bool) -> tuple[list[Curve], str]:
     """The best curve of each label if there are too many to be read, and a sentence that says so."""
     if len(curves) <= MAX_POINTS:
         return curves, ""
-    best: dict[str, tuple[float, Curve]] = {}
-    for curve in curves:
+
+    def score(curve: Curve) -> float:
         mean = float(np.mean(curve.values)) * (-1 if is_least else 1)
-        mean = mean if np.isfinite(mean) else -np.inf
-        label = curve.point.label
-        if label not in best or mean > best[label][0]:
-            best[label] = mean, curve
+        return mean if np.isfinite(mean) else -np.inf
+
+    labels = dict.fromkeys(curve.point.label for curve in curves)
+    best = [max((curve for curve in curves if curve.point.label == label), key=score) for label in labels]
     extreme = "least" if is_least else "greatest"
     note = f" Of {len(curves)} settings, the one with the {extreme} mean of each label is drawn."
-    return [curve for _, curve in best.values()][:MAX_POINTS], note
+    return best[:MAX_POINTS], note
 
 
 def curves_over(results: Results, over: str, column: str) -> list[Curve]:
