@@ -121,8 +121,7 @@ def stand_ins(
 
 def named(results: Results, test: Test, name: str) -> list[Point]:
     """The points of a label, or of a variant where the test is by variant, that have runs."""
-    points = [point for point in results.points if getattr(point, test.by) == name]
-    points = [point for point in points if results.runs_of(point)["run"].size]
+    points = [point for point in results.run_points if getattr(point, test.by) == name]
     if not points:
         raise Undecidable(f"no runs of {name}")
     return points

@@ -96,8 +96,7 @@ def ranking(results: Results, measure: Measure, most: int | None = None) -> list
     """The points with runs, at most `most` and the best first; those with a non-finite value are left out."""
     runs = {point.index: results.runs_of(point) for point in results.points}
     values = {point.index: measure.values(results, point) for point in results.points}
-    points = [point for point in results.points if values[point.index].size]
-    points = [point for point in points if np.isfinite(values[point.index]).all()]
+    points = [point for point in results.run_points if np.isfinite(values[point.index]).all()]
     points.sort(key=lambda point: -measure.sign * float(values[point.index].mean()))  # ties stay in order
     ranked = []
     for point in points[:most]:
