@@ -69,11 +69,8 @@ MARKERS = ("", "o", "s", "^", "D")
 
 FIGURES = "figures"  # name of the folder of figures
 WIDTH = 4.7  # width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high
-
 LONGEST = 48  # columns of a name in a figure, so that one fits the width below the panels
-
 LINE_POINTS = 12.5  # distance of two lines of names beside curves
-
 INK, FAINT = "#222222", "#8A8A8A"
 
 _SETTINGS: Mapping[str, Any] = {
@@ -105,7 +102,6 @@ _SETTINGS: Mapping[str, Any] = {
     "svg.fonttype": "path",
     "path.simplify": True,
 }
-
 
 _FALLBACKS = (
     *("Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei"),

@@ -24,7 +24,6 @@ BY_STEP = 6
 LATENCY = "latency at batch 1"
 """Heading of the column of `speeds` that only results with a measured latency have."""
 
-
 _IntervalOf: TypeAlias = Callable[[np.ndarray], statistics.Interval]
 
 

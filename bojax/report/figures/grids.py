@@ -29,9 +29,7 @@ from bojax.report.text import (
 )
 
 MAX_PANELS = 8
-
 MOST_LETTERS = 48  # letters that fit side by side below the panels
-
 COLOURS = "cividis"  # a colour map that is read equally with all kinds of colour vision
 MOST_NUMBERS = 60  # most cells of a map whose numbers are written
 MOST_TICKS = 8  # most values that are written beside a panel
