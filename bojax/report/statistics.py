@@ -146,10 +146,7 @@ def _counts(num_rows: int, resamples: int, block: int, stream: int = 0) -> NDArr
 
 
 def bootstrap_present(values: ArrayLike) -> Floats:
-    """Means of resampled rows, as `bootstrap_means`, over the values that are not NaN.
-
-    A resample without any value of a column gives NaN in that column.
-    """
+    """Means of resampled rows, as `bootstrap_means`, over the values that are not NaN; NaN without any."""
     table = np.asarray(values, dtype=np.float64)
     is_there = np.isfinite(table)
     if is_there.all():
@@ -385,10 +382,7 @@ def mean_band(values: ArrayLike) -> Band:
 
 
 def share_band(flags: ArrayLike) -> Band:
-    """Share, lower and upper bound of every column of `[n, columns]` of 0 and 1: a pointwise Wilson band.
-
-    A NaN is no value; a column without values is NaN.
-    """
+    """Share, lower and upper bound of every column `[n, columns]` of 0, 1 or NaN: a pointwise Wilson band."""
     table = np.asarray(flags, dtype=np.float64)
     count, hits = np.isfinite(table).sum(axis=0), np.nansum(table, axis=0)
     share = np.divide(hits, count, out=np.full(hits.shape, np.nan), where=count > 0)

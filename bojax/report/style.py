@@ -276,11 +276,7 @@ def drawn_text(text: str) -> str:
 
 
 def legend(drawn: Figure, handles: Sequence[Any], names: Sequence[str], **options: Any) -> Legend:
-    """Add a legend with one entry per handle.
-
-    Matplotlib may leave out a name that begins with an underscore. Names are therefore written once the
-    legend is there.
-    """
+    """Add a legend. Its names come last, since Matplotlib leaves out one that begins with an underscore."""
     found = drawn.legend(handles, [str(place) for place in range(len(names))], **options)
     for text, name in zip(found.get_texts(), names, strict=True):
         text.set_text(name)

@@ -278,10 +278,7 @@ def _find(source: str) -> Path:
 
 
 def _check_choices(declaration: Declaration, where: str) -> None:
-    """Refuse a value that a point refuses, that changes no point, or a first one that changes the sweep.
-
-    Two values of a choice that give the same points are refused as well.
-    """
+    """Refuse a value that changes no point or equals another one, and a first one that changes the sweep."""
     sweeps = declaration.file.sweeps
     for name, choice in declaration.file.choices.items():
         for source in choice.sweeps:

@@ -306,10 +306,7 @@ def distance(claims: Iterable[ClaimOutcomes], place: int) -> float:
 
 
 def effects(multiverse: Multiverse, claim: ClaimOutcomes) -> dict[str, list[statistics.Interval]]:
-    """The share of configurations in which a claim holds, for each value of each choice that concerns it.
-
-    It is NaN for a value that no configuration has.
-    """
+    """The share of configurations in which a claim holds, by value of its choices; NaN if unused."""
     names, found = list(multiverse.declaration["choices"]), {}
     for name, choice in multiverse.choices_of(claim).items():
         levels = multiverse.levels[:, names.index(name)]

@@ -67,10 +67,7 @@ def _budget_cell(method: Method, measure: Measure) -> tables.Cell:
 
 
 def scores(task: Task, measure: Measure) -> tables.Table:
-    """One row per method: mean, interquartile mean, and the comparison of several with the reference.
-
-    Where budgets differ, the row says so; the caption has the remarks on the budget.
-    """
+    """One row per method: mean, interquartile mean, and the comparison of several with the reference."""
     rows, reference, is_compared = [], task.reference, len(task.methods) > 1
     has_budgets = any(np.isfinite(each.budget) and each.budget != each.at for each in task.methods)
     has_cuts = any(each.cut_off for each in task.methods)

@@ -111,10 +111,7 @@ def _draw_run(axes: Axes, arrays: Mapping[str, Any], colour: str, is_success: bo
 
 
 def stops(ends: Sequence[Floats], steps: Sequence[Floats]) -> Floats:
-    """Positions `[stops, 2]` at which the robot was stopped within a step, after which its poses repeat.
-
-    The ends are the poses before the steps.
-    """
+    """Positions `[stops, 2]` at which the robot was stopped within a step, so that its poses repeat."""
     pairs = zip(ends, steps, strict=False)
     last_two = [np.concatenate([end[None, :2], step[:, :2]])[-2:] for end, step in pairs]
     return np.array([last for before, last in last_two if (before == last).all()]).reshape(-1, 2)
