@@ -56,25 +56,24 @@ def errors_of(values: Floats) -> Floats:
 def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
     """Fit a law to means `[..., n]` at numbers `[n]` by least squares, weighted by errors `[n]` to the -2."""
     flat = np.atleast_2d(np.asarray(means, dtype=np.float64))
-    a, b, squares = (_exponential if law == "exponential" else _polynomial)(law, x, flat, errors**-2)
+    along = x**2 if law == "quadratic" else x
+    a, b, squares = (_exponential if law == "exponential" else _line)(along, flat, errors**-2)
     shape = np.shape(means)[:-1]
     misfit = np.sqrt(np.maximum(squares, 0.0) / len(x))
     return Fit(law, a.reshape(shape), b.reshape(shape), misfit.reshape(shape))
 
 
-def _polynomial(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    powers = x if law == "linear" else x**2
+def _line(x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
     total = weights.sum()
-    centre, middle = weights @ powers / total, means @ weights / total
-    slope = (means - middle[:, None]) @ (weights * (powers - centre)) / (weights @ (powers - centre) ** 2)
+    centre, middle = weights @ x / total, means @ weights / total
+    slope = (means - middle[:, None]) @ (weights * (x - centre)) / (weights @ (x - centre) ** 2)
     a = middle - slope * centre
-    residuals = means - a[:, None] - slope[:, None] * powers
+    residuals = means - a[:, None] - slope[:, None] * x
     return a, slope, residuals**2 @ weights
 
 
-def _exponential(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
+def _exponential(x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
     """Search a fine grid of rates b; the best a for each b is known in closed form."""
-    del law
     reach = 2.0 * np.log(means.max() / max(means.min(), 1e-9 * means.max())) + 1.0
     rates = np.linspace(-reach, reach, _RATES) / np.ptp(x)
     # The curves are 1 at the centre of x, so that no rate overflows.
