@@ -42,9 +42,7 @@ class PlanningFilm(Film):
 
     The main image shows a robot with a body in its world, or else the map of the domain with the path and
     the plan. Beside it are mean and standard deviation of the belief about a field, if there is one, or else
-    the map if the main image shows the robot.
-
-    A robot may be drawn from another MJCF file.
+    the map if the main image shows the robot, which may be drawn from another MJCF file.
     """
 
     def __init__(self, drive: Drive, model: Path | None = None):

@@ -269,10 +269,8 @@ def _refused(out: Path, library: str) -> Iterator[None]:
     except ResultsError:
         raise
     except Exception as error:
-        reason = f"{library} cannot write it ({error_line(error)})"
-        raise ResultsError(
-            f"{out}: {reason}; the results are unchanged; try --to csv", exit_code=1
-        ) from error
+        told = f"{library} cannot write it ({error_line(error)}); the results are unchanged; try --to csv"
+        raise ResultsError(f"{out}: {told}", exit_code=1) from error
 
 
 TARGETS: Mapping[str, Callable[[Sequence[ExportedPoint], Path], None]] = {
