@@ -390,7 +390,7 @@ def share_band(flags: ArrayLike) -> Band:
 
 
 def wilson(successes: ArrayLike, trials: ArrayLike, tail: float | None = None) -> tuple[Floats, Floats]:
-    """Bounds of Wilson's score interval, without continuity correction (1927, eq. 1); NaN without trials."""
+    """Bounds of Wilson's score interval (1927, eq. 1), without continuity correction; NaN without trials."""
     n = np.asarray(trials, dtype=np.float64)
     n = np.where(n > 0, n, np.nan)
     count = np.where(n > 0, np.asarray(successes, dtype=np.float64), np.nan)

@@ -196,7 +196,7 @@ Entry = tuple[Claim, str, TestedClaim]
 def evaluated(
     declaration: Declaration, folders: Mapping[str, Path], numbers: Sequence[int]
 ) -> dict[int, list[Entry]]:
-    """The claims of these configurations, which the results of each sweep have, by number."""
+    """The claims of these configurations, by number, from the results of each sweep."""
     found: dict[int, list[Entry]] = {number: [] for number in numbers}
     for source in declaration.file.sweeps:
         results = load(folders[source])

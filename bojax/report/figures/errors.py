@@ -28,7 +28,7 @@ ERRORS = {"rmse": "RMSE", "mean_std": "mean standard deviation"}
 
 
 def errors(results: Results) -> Drawing:
-    """Errors of the final belief, below their ratios to `report.relative_to` (thesis, Tables 3.1 and 4.1)."""
+    """Errors of the final belief above their ratios to `report.relative_to` (thesis, Tables 3.1 and 4.1)."""
     points, note = drawn_points(results)
     columns = [column for column in MEASURES if column in results.runs]
     if not columns:

@@ -29,6 +29,12 @@ TABLES = {
 
 PAGES = ("league.html", "league.md")
 
+DRAWN, TICKS = (0.45, 2.2), (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Limits and ticks of the axis of ratios."""
+
+COLOURS = {REACHED: style.BLUE, OPEN: style.GREY, MISSED: style.ORANGE}
+"""Colours of verdicts."""
+
 
 def write_pages(folder: Path) -> list[Path]:
     """Write the page of the league in a folder, and its figures, and return the paths."""
@@ -129,13 +135,6 @@ def _about(league: League) -> list[tuple[str, str]]:
         ("share of the area above the threshold", f"{about['share_above']:g}"),
         ("stored routes", about["peers"]),
     ]
-
-
-DRAWN, TICKS = (0.45, 2.2), (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Limits and ticks of the axis of ratios."""
-
-COLOURS = {REACHED: style.BLUE, OPEN: style.GREY, MISSED: style.ORANGE}
-"""Colours of verdicts."""
 
 
 def draw_ratios(judged: Sequence[Aim]) -> Drawing:
