@@ -152,7 +152,8 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
         + (f", P(better) {percent(share.estimate)}" if each is not reference else "")
         for each, mean, middle, share in zip(methods, means, iqms, better, strict=True)
     ]
-    compared = f", and the probability that a run is better than one of {reference.name}" * (len(panels) > 2)
+    more = f", and the probability that a run is better than one of {reference.name}"
+    compared = more if len(panels) > 2 else ""
     return Drawing(
         figure=figure,
         title="Scores",

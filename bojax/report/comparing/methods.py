@@ -292,7 +292,11 @@ def _single_values(results: Results, point: Point, measure: Measure) -> list[Ser
 
 
 def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> list[Method]:
-    """The labels of another library, without scores; those without a task of their own have the given one."""
+    """The labels of another library, without scores; those without a task of their own have the given one.
+
+    Raises:
+        ResultsError: With episodes as the axis, runs of a label have different episodes.
+    """
     methods = []
     for number, each in enumerate(rows):
         name = printed(each.label)
