@@ -76,6 +76,19 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def write(here):
+    """Writes a file below an empty working directory."""
+
+    def write_file(name: str, text: str) -> Path:
+        path = here / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return path
+
+    return write_file
+
+
+@pytest.fixture
 def data_files(here):
     """The data files of the parts that need some, in an empty working directory."""
     for name, text in FILES.items():

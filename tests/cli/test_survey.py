@@ -65,8 +65,8 @@ def planned(out, *words: str) -> dict:
 BUDGET = ("300x200", "--budget", "600")
 
 
-def rows_of(folder) -> dict[str, np.ndarray]:
-    with (folder / "waypoints.csv").open() as file:
+def rows_of(folder, name: str = "waypoints.csv") -> dict[str, np.ndarray]:
+    with (folder / name).open() as file:
         rows = list(csv.DictReader(file))
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
@@ -95,9 +95,7 @@ def test_a_geojson_with_a_hole(tmp_path, capsys):
     route = ElementTree.parse(out / "waypoints.gpx").findall("{*}rte/{*}rtept")
     places = [[float(point.attrib[name]) for name in ("lat", "lon")] for point in route]
     np.testing.assert_allclose(places, degrees, atol=1e-7)
-    assert (
-        "<svg" in (out / "report.html").read_text() or "data:image/svg" in (out / "report.html").read_text()
-    )
+    assert "data:image/svg" in (out / "report.html").read_text()
     assert (out / "figures" / "route.png").is_file()
 
 
@@ -117,11 +115,10 @@ def test_two_robots_keep_their_budgets_ends_and_distance(tmp_path):
     survey = planned(out, "300x200", *words, "--start", "0,0", "--start", "300,0")
     routes = [np.array(route) for route in survey["candidates"][0]["routes"]]
     for number, route in enumerate(routes, start=1):
-        with (out / f"waypoints-{number}.csv").open() as file:
-            rows = list(csv.DictReader(file))
-        np.testing.assert_allclose([[float(row["x"]), float(row["y"])] for row in rows], route, atol=1e-3)
+        rows = rows_of(out, f"waypoints-{number}.csv")
+        np.testing.assert_allclose(np.stack([rows["x"], rows["y"]], axis=1), route, atol=1e-3)
         np.testing.assert_allclose(route[[0, -1]], [[300.0 * (number - 1), 0.0], [150.0, 0.0]], atol=1e-6)
-        assert float(rows[-1]["distance"]) <= 500.0 + 1e-3
+        assert rows["distance"][-1] <= 500.0 + 1e-3
     assert least_distance(routes, 10.0) >= 10.0
     assert survey["settings"]["robots"].startswith("2")
     mowers = [each for each in survey["candidates"] if each["method"] == "lawnmower"]
@@ -313,16 +310,13 @@ def found(best: str, *errors: float) -> dict:
     }
 
 
-def test_a_lawnmower_that_comes_too_close_may_leave_less(tmp_path):
-    (tmp_path / "survey.json").write_text(json.dumps(found("route", 0.3, 0.2)))
-    end = "The best lawnmower leaves less, 0.200, but its robots come closer than asked."
-    assert survey_summary(tmp_path).endswith(end)
-
-
-def test_the_length_of_the_best_lawnmower_is_named_beside_its_error(tmp_path):
-    (tmp_path / "survey.json").write_text(json.dumps(found("route", 0.18, 0.2)))
-    end = " 10.0% less than the best lawnmower (0.200, 2.29 km long)."
-    assert survey_summary(tmp_path).endswith(end)
+def test_the_error_of_the_best_lawnmower_is_named_with_its_length_or_that_it_comes_too_close(tmp_path):
+    for error, end in (
+        (0.18, " 10.0% less than the best lawnmower (0.200, 2.29 km long)."),
+        (0.3, "The best lawnmower leaves less, 0.200, but its robots come closer than asked."),
+    ):
+        (tmp_path / "survey.json").write_text(json.dumps(found("route", error, 0.2)))
+        assert survey_summary(tmp_path).endswith(end)
 
 
 @pytest.mark.parametrize("best", ["route", "lawnmower"])

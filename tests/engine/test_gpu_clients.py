@@ -105,9 +105,17 @@ def test_checkpoints_are_restored_on_any_client(of_cpu, tmp_path):
         assert jax.random.key_data(key).tolist() == [0, 3]
 
 
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The content of a sweep that ran on one client."""
+    out = tmp_path_factory.mktemp("alone") / "one"
+    assert run_toy(out, runs=10, devices=[0]) == 0
+    return contents(out)
+
+
 @NEEDS_CPU
 @pytest.mark.parametrize("bytes_of_gpu", [2**34, 100])
-def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, of_cpu, monkeypatch, bytes_of_gpu):
+def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, alone, of_cpu, monkeypatch, bytes_of_gpu):
     used, running, most = set(), [], []
     runner, finish = execute._Executor._runner, execute.ChunkRunner.advance
 
@@ -123,7 +131,6 @@ def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, of_cpu, monkeyp
         finally:
             running.remove(chunk)
 
-    assert run_toy(tmp_path / "one", runs=10, devices=[0]) == 0
     monkeypatch.setattr(gpu_clients, "total_memory", lambda _: bytes_of_gpu)
     monkeypatch.setattr(execute, "new_lock", lambda _: threading.Lock())  # as for a GPU
     monkeypatch.setattr(execute._Executor, "_runner", notes)
@@ -131,7 +138,7 @@ def test_a_sweep_on_several_clients_has_the_same_bytes(tmp_path, of_cpu, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr("bojax.engine.run.choose", lambda *_: [CPU])
         assert run_toy(tmp_path / "two", runs=10) == 0
-    assert len(used) > 1 and contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert len(used) > 1 and contents(tmp_path / "two") == alone
     if bytes_of_gpu == 100:  # no two chunks fit
         assert max(most) == 1
 
@@ -163,9 +170,8 @@ def test_a_sweep_stops_while_chunks_wait_for_memory_and_resumes(tmp_path, of_cpu
 @NEEDS_CPU
 @pytest.mark.parametrize("fits_alone", [True, False])
 def test_a_chunk_that_runs_out_of_memory_beside_others_goes_on_alone(
-    tmp_path, of_cpu, monkeypatch, fits_alone
+    tmp_path, alone, of_cpu, monkeypatch, fits_alone
 ):
-    assert run_toy(tmp_path / "one", runs=10, devices=[0]) == 0
     monkeypatch.setattr(execute, "new_lock", lambda _: threading.Lock())
     monkeypatch.setattr("bojax.engine.run.choose", lambda *_: [CPU])
     advance, held, tried = execute.ChunkRunner.advance, DeviceMemory.held, []
@@ -185,4 +191,4 @@ def test_a_chunk_that_runs_out_of_memory_beside_others_goes_on_alone(
     assert run_toy(tmp_path / "two", runs=10) == (0 if fits_alone else 1)
     assert None in tried and len(tried) > tried.count(None)
     if fits_alone:
-        assert contents(tmp_path / "one") == contents(tmp_path / "two")
+        assert contents(tmp_path / "two") == alone

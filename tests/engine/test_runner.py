@@ -1,6 +1,7 @@
 """Runs leave and enter lanes: every run is that of a plain loop, and the clock changes no bit."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -40,18 +41,18 @@ LAYOUTS = {
     "refilled and narrowed at once": Layout(24, (20, 17), 9),
     "two queues": Layout(13, (4, 1), 1),
 }
-programs: dict[tuple[int, int | None], Programs] = {}
+
+def programs_for(functions: Functions, recorded: int):
+    """A function from a layout to its programs by width; all layouts share them."""
+
+    @cache
+    def compiled(width, wider):
+        return Programs(functions, jax.devices("cpu")[0], width, SEED, recorded=recorded, wider=wider)
+
+    return lambda layout: lambda width: compiled(width, layout.wider(width))
 
 
-def programs_of(layout: Layout):
-    def compiled(width):
-        key = width, min((each for each in layout.widths if each > width), default=None)
-        if key not in programs:
-            device = jax.devices("cpu")[0]
-            programs[key] = Programs(FUNCTIONS, device, width, SEED, recorded=6, wider=key[1])
-        return programs[key]
-
-    return compiled
+programs_of = programs_for(FUNCTIONS, recorded=6)
 
 
 def chunks_of(layout: Layout):
@@ -86,17 +87,13 @@ def test_a_batch_gives_the_rows_of_a_loop_over_runs(plain):
         advance = jax.jit(lambda carry, module=module: module.advance(carry))
         for run in range(RUNS):
             carry = init(run_key(jax.random.key(SEED), jnp.asarray(run, jnp.int32)))
-            while not carry_is_done(module, carry):
+            while not module.is_done(carry):
                 carry, _ = advance(carry)
             rows.append((point, run, float(module.summary(carry)["return"]), int(carry.step)))
     found = plain["runs"]
     assert found["steps"].to_pylist() == [steps for *_, steps in rows]
     np.testing.assert_allclose(found["return"].to_numpy(), [value for _, _, value, _ in rows], rtol=1e-12)
     assert len({steps for *_, steps in rows}) > 5
-
-
-def carry_is_done(module: Toy, carry) -> bool:
-    return bool(module.is_done(carry))
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -115,19 +112,11 @@ def test_every_layout_gives_the_rows_of_a_plain_batch(name, plain):
     assert sum(segment.active_steps for segment in segments) == tables["steps"].num_rows
 
 
-def rows_and_learners(group, experiment, layout: Layout) -> tuple[dict[str, np.ndarray], dict]:
+def rows_and_learners(group, experiment, layout: Layout, programs) -> tuple[dict[str, np.ndarray], dict]:
     """The summaries of eight runs, by run, and the saved learners."""
     (chunk,) = cut(group, range(8), layout, [{}], {})
-    functions, device, made = Functions(group), jax.devices("cpu")[0], {}
-
-    def compiled(width):
-        if width not in made:
-            wider = layout.wider(width)
-            made[width] = Programs(functions, device, width, SEED, recorded=8, wider=wider)
-        return made[width]
-
     sink = Sink(recorded_runs=8, saved_learners=8)
-    run(ChunkRunner(chunk, experiment, compiled, sink, NEVER, lambda _: None))
+    run(ChunkRunner(chunk, experiment, programs(layout), sink, NEVER, lambda _: None))
     table = sort_rows(pa.concat_tables(sink.tables["runs"]))
     return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}, sink.learned
 
@@ -148,10 +137,11 @@ def test_runs_of_shipped_experiments_do_not_depend_on_the_layout(words):
     (point,) = load_config(config, changes, None, None).points
     experiment = build(point.config, "float64")
     (group,) = static_groups([experiment])
-    expected, learned = rows_and_learners(group, experiment, Layout(8, (8,), 0))
+    programs = programs_for(Functions(group), recorded=8)
+    expected, learned = rows_and_learners(group, experiment, Layout(8, (8,), 0), programs)
     assert len(np.unique(expected["steps"])) > 1
     for layout in (Layout(8, (3,), 1), Layout(8, (8, 4, 2), 1)):
-        found, saved = rows_and_learners(group, experiment, layout)
+        found, saved = rows_and_learners(group, experiment, layout, programs)
         for name, values in expected.items():
             if values.dtype.kind == "f":
                 np.testing.assert_allclose(found[name], values, rtol=1e-9)

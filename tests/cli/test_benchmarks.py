@@ -1,4 +1,4 @@
-"""The benchmark of scaling: its measurements of chunks, its comparison of tables, and its arguments."""
+"""Benchmarks: measurements of chunks, the comparison of tables, and what command lines accept."""
 
 import importlib
 import json
@@ -12,10 +12,16 @@ CHUNKS = ("chunk-00000-0123456789ab", "chunk-00001-ba9876543210")
 
 
 @pytest.fixture
-def bench(monkeypatch):
-    """The benchmark; nothing of it runs."""
+def imported(monkeypatch):
+    """Imports a benchmark, of which nothing runs."""
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
-    return importlib.import_module("bench_scaling")
+    return importlib.import_module
+
+
+@pytest.fixture
+def bench(imported):
+    """The benchmark of scaling."""
+    return imported("bench_scaling")
 
 
 def row(devices, seconds, *, launcher="inline", runs=64, sha256="a"):
@@ -129,3 +135,17 @@ def test_devices_of_the_machine(bench, monkeypatch, capsys):
         chosen(4, "--first", "3", "--devices", "2")
     with pytest.raises(SystemExit, match="JAX finds no GPU"):
         chosen(0, "--devices", "1")
+
+
+def test_settings_of_the_solver(imported, capsys):
+    bench_robots = imported("bench_robots")
+    given = ["model", "4/8/rk4", "3/6/Euler", "10/5/ImplicitFast"]
+    expected = ["model", "4/8/rk4", "3/6/euler", "10/5/implicitfast"]
+    assert bench_robots.parse(["--settings", *given]).settings == expected
+    assert bench_robots.parse([]).settings == ["model"]
+    for setting in ("3/6", "3/6/rk5", "0/6/rk4", "a/6/rk4", "3/6/rk4/1", "default", ""):
+        with pytest.raises(SystemExit) as exit_info:
+            bench_robots.parse(["--settings", setting])
+        assert exit_info.value.code == 2
+        line = capsys.readouterr().err.splitlines()[-1]
+        assert f"--settings: got {setting}; allowed: model or I/L/INTEGRATOR, such as 4/8/rk4" in line

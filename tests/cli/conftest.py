@@ -1,3 +1,0 @@
-"""A user's folder, as in the tests of configurations."""
-
-from tests.config.conftest import write as write
