@@ -42,6 +42,7 @@ LAYOUTS = {
     "two queues": Layout(13, (4, 1), 1),
 }
 
+
 def programs_for(functions: Functions, recorded: int):
     """A function from a layout to its programs by width; all layouts share them."""
 

@@ -67,14 +67,18 @@ def stacked(modules):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *modules)
 
 
-def grown(planners, problems):
+def search(planner, problem, key, pose):
+    return planner.search(key, problem, pose)
+
+
+by_xla = eqx.filter_jit(eqx.filter_vmap(search, axis_name=LANES))
+
+
+def grown(planners, problems, search=by_xla):
     """The trees of all lanes, and what the planner remembers."""
     keys = jax.random.split(jax.random.key(0), len(LANE_SETTINGS))
-    search = eqx.filter_vmap(
-        lambda planner, problem, key, pose: planner.search(key, problem, pose), axis_name=LANES
-    )
     poses = f64([POSES[name] for *_, name in LANE_SETTINGS])
-    return jax.device_get(eqx.filter_jit(search)(planners, problems, keys, poses))
+    return jax.device_get(search(planners, problems, keys, poses))
 
 
 @pytest.mark.parametrize("name", by_tier(PROGRAMS, normal=["depth 3"]))
@@ -88,7 +92,8 @@ def test_trees_are_those_of_xla(name, kernels):
     problems = stacked([parking(**settings_of_problem, **own) for _, own, _ in LANE_SETTINGS])
     expected = grown(planners, problems)
     used = kernels()
-    found = grown(planners, problems)
+    by_kernel = eqx.filter_jit(eqx.filter_vmap(lambda *given: search(*given), axis_name=LANES))
+    found = grown(planners, problems, by_kernel)
     assert used == [True]
     for lane in range(len(LANE_SETTINGS)):
         (tree, memory), (got, remembered) = jax.tree.map(lambda x, lane=lane: x[lane], (expected, found))

@@ -292,9 +292,15 @@ def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(n
 def test_what_is_imagined_differs_from_key_to_key_unless_it_is_the_mean():
     belief = field_belief(WALLED, (0.0, 0.0, 0.0), 5)
     poses, paths = (f64(np.repeat(part[3:4], 5, axis=0)) for part in drives(20))
+
+    @jax.jit
+    def rewards(problem, key, pose, path):
+        root, node = problem.root(dataclasses.replace(belief, pose=pose), 3)
+        return problem.simulate(key, root, node, jnp.stack([path, path[::-1], path]), None).rewards
+
     for imagined, number in (("sample", 5), ("mean", 1)):
-        problem = monitoring(imagined=imagined, walls=None)
-        simulated = np.asarray(pay(problem, None, belief, keys_of(0, 5), poses, paths)[1])
+        problem, keys = monitoring(imagined=imagined, walls=None), keys_of(0, 5)
+        simulated = np.array([rewards(problem, *each) for each in zip(keys, poses, paths, strict=True)])
         assert len(np.unique(np.round(simulated[:, 0], 10))) == 1
         assert len(np.unique(np.round(simulated[:, 2], 10))) == number
 

@@ -126,7 +126,7 @@ def test_figures_are_written_as_png_and_svg_and_rebuilding_gives_the_same_bytes(
     assert not [path for path in folder.rglob("*") if path.name.endswith(".tmp")]
 
 
-def test_report_settings_choose_figures_and_notes(tmp_path):
+def test_report_settings_choose_figures_and_notes(blank_figures, tmp_path):
     report = {
         "figures": ["returns", "latency", "trajectories", "no-such-figure"],
         "notes": "First note.\n\nSecond note.",
@@ -152,7 +152,7 @@ def test_report_settings_choose_figures_and_notes(tmp_path):
     assert "success by step 9" in page.text
 
 
-def test_missing_runs_and_nans_are_said(tmp_path):
+def test_missing_runs_and_nans_are_said(blank_figures, tmp_path):
     folder = write_results(tmp_path / "results", runs=8, report={"figures": ["returns"]})
     failed = {"status": "failed", "runs": 10, "chunks": [{"error": None}, {"error": "out of memory"}]}
     edit_manifest(folder, lambda manifest: manifest.update(failed))
@@ -187,7 +187,7 @@ def test_many_points_are_drawn_by_the_best_of_each_label():
     assert drawing.alt.endswith("Means: a 2 1.00, b 2 1.00, c 2 1.00.")
 
 
-def test_unreadable_folders_end_in_one_line_and_nothing_is_written(tmp_path):
+def test_unreadable_folders_end_in_one_line_and_nothing_is_written(blank_figures, tmp_path):
     snapshot = "arrays/0-0-paths-end.npz"
     for name, damage in {
         "runs.parquet": lambda folder: (folder / "runs.parquet").unlink(),

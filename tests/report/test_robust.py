@@ -60,7 +60,7 @@ def test_an_exception_in_a_figure_is_a_note(tmp_path, monkeypatch):
     assert (folder / "figures" / "success.png").exists() and not (folder / "figures" / "returns.png").exists()
 
 
-def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
+def test_an_exception_in_a_test_leaves_its_claim_open(blank_figures, tmp_path, monkeypatch):
     def fail(results, test):
         raise ZeroDivisionError("of my own")
 
@@ -107,7 +107,7 @@ def test_other_warnings_of_a_figure_are_shown(tmp_path, monkeypatch):
         build_report(folder)
 
 
-def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
+def test_changed_settings_are_told_at_the_top_and_with_every_verdict(blank_figures, tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     changed = {"planner.iterations": [300, 20], "problem.vehicle": [None, {"kind": "wheeled-robot"}]}
     edit_manifest(folder, lambda manifest: manifest.update(changed=changed))
@@ -123,14 +123,14 @@ def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
     assert all(claim["changed"] == {} for claim in json.loads((folder / "claims.json").read_text()))
 
 
-def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
+def test_a_label_is_not_said_to_stand_for_itself(blank_figures, tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     edit_manifest(folder, lambda manifest: manifest["points"][2].update(variant="sbo", swept={}))
     text = build_report(folder).read_text()
     assert "sbo is represented by sbo" not in text and "variant with the" not in text
 
 
-def test_without_latencies_the_page_does_not_speak_of_them(tmp_path):
+def test_without_latencies_the_page_does_not_speak_of_them(blank_figures, tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
     text = build_report(folder).read_text()
     assert "Latency and throughput" in text and "latency at batch 1" in text
@@ -158,7 +158,7 @@ def test_lines_on_maps_keep_their_colours():
     assert f'[style*="stroke: {style.INK}"]' not in drawn.replace("[id^=text_] [style", "")
 
 
-def test_the_summary_says_the_limit_of_an_episode_and_a_gallery_counts_no_nans(tmp_path):
+def test_the_summary_says_the_limit_of_an_episode_and_a_gallery_counts_no_nans(blank_figures, tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
     edit_manifest(folder, lambda m: [p["config"]["problem"].update(max_steps=40) for p in m["points"]])
     assert "4 runs each of up to 40 steps" in build_report(folder).read_text()
@@ -229,7 +229,7 @@ def test_what_is_no_results_folder_is_told_in_a_line(tmp_path, refusal):
 
 @pytest.mark.parametrize(("patience", "lines"), [(0.0, 1), (1e9, 0)])
 def test_a_slow_report_says_one_line_where_there_is_no_terminal(
-    tmp_path, capsys, monkeypatch, patience, lines
+    blank_figures, tmp_path, capsys, monkeypatch, patience, lines
 ):
     monkeypatch.setattr(progress, "PATIENCE", patience)
     folder = write_results(tmp_path / "results", runs=2, recorded=0)
@@ -240,7 +240,7 @@ def test_a_slow_report_says_one_line_where_there_is_no_terminal(
     assert progress_lines == [f"writing the report of {folder} ..."] * lines
 
 
-def test_many_runs_are_told_to_be_resampled_in_groups(tmp_path, monkeypatch):
+def test_many_runs_are_told_to_be_resampled_in_groups(blank_figures, tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "GROUPS", 10)
     monkeypatch.setattr(statistics, "FEW", 20)
     folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
