@@ -1,7 +1,5 @@
 """The estimators within scikit-learn, and the inputs that they refuse."""
 
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable
 
@@ -336,15 +334,9 @@ def test_the_precision_is_asked_for():
         GaussianProcessRegressor(dtype="float64").fit(X, Y)
 
 
-def test_bojax_needs_no_scikit_learn():
-    program = "import sys, bojax.models.estimators; sys.exit('sklearn' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
-
-
 def test_a_kernel_of_python_numbers_is_learned_like_one_of_arrays():
     ours, theirs = (
-        GaussianProcessRegressor(kernel, num_starts=2, num_steps=5).fit(X, Y)
-        for kernel in (Scaled(RBF([0.5, 0.8]), 2), FIXED)
+        GaussianProcessRegressor(kernel).fit(X, Y) for kernel in (Scaled(RBF([0.5, 0.8]), 2), FIXED)
     )
     assert ours.noise_variance_ == theirs.noise_variance_ != 0.1
     np.testing.assert_array_equal(ours.predict(QUERIES), theirs.predict(QUERIES))

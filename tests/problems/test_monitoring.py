@@ -185,13 +185,18 @@ PRIOR = monitoring(
 """A problem whose prior is not its default; the tests of its beliefs share a program."""
 
 
-def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
-    problem = PRIOR
+@pytest.fixture(scope="module")
+def updated():
+    """The prior of `PRIOR`, and what comes of it on four paths."""
     _, paths = drives(4, seed=3)
-    prior = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
+    prior = PRIOR.prior(jax.random.key(0), PRIOR.reset(jax.random.key(1)), SIZE)
+    return prior, *update(PRIOR, prior, jax.random.key(2), keys_of(0, 4), f64(paths))
+
+
+def test_the_belief_is_the_prior_conditioned_on_the_samples_taken(updated):
+    problem, (prior, world, beliefs) = PRIOR, updated
     assert prior.posterior.count == 0 and prior.posterior.y.shape == (problem.max_steps * SIZE,)
     np.testing.assert_array_equal(prior.pose, [0.9, 1.2, 0.0])
-    world, beliefs = update(problem, prior, jax.random.key(2), keys_of(0, 4), f64(paths))
     x, y = np.zeros((0, 2)), np.zeros(0)
     queries = np.random.default_rng(0).uniform(0.0, 2.4, (30, 2))
     for step, (belief, samples) in enumerate(beliefs):
@@ -207,11 +212,8 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
     assert 0 < len(x) < problem.max_steps * SIZE  # some paths were cut short
 
 
-def test_the_snapshot_has_the_belief_after_every_step():
-    problem = PRIOR
-    _, paths = drives(4, seed=3)
-    prior = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
-    world, beliefs = update(problem, prior, jax.random.key(2), keys_of(0, 4), f64(paths))
+def test_the_snapshot_has_the_belief_after_every_step(updated):
+    problem, (prior, world, beliefs) = PRIOR, updated
     steps = [prior, *(belief for belief, _ in beliefs[:3])]
     snapshot = jax.jit(lambda belief: problem.snapshot(world, belief)["belief"])
     kept = [snapshot(belief) for belief in steps]

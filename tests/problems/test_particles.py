@@ -203,22 +203,13 @@ FADING = Fading()
 update = jax.jit(lambda *given: particles.update(FADING, *given))
 
 
-def test_a_terminal_particle_has_no_weight():
+@pytest.mark.parametrize(("reading", "least"), [(0.0, 0.5), (4.0, 0.75)])
+def test_particles_that_are_terminal_or_have_a_likelihood_of_nan_have_no_weight(reading, least):
     start = particles.initial(FADING, jax.random.key(9), 200)
-    belief, collapsed = update(jax.random.key(10), start, jnp.full(1, 0.5), jnp.zeros(1))
-    assert not collapsed
-    assert np.all(np.asarray(belief.states) <= 1.0)
-    assert not np.any(belief.terminal)
-    survivors = np.asarray(start.states)[np.asarray(start.states) <= 0.5] + 0.5
-    assert set(np.ravel(belief.states)) <= set(survivors)
-
-
-def test_a_particle_with_a_likelihood_of_nan_has_no_weight():
-    start = particles.initial(FADING, jax.random.key(9), 200)
-    belief, collapsed = update(jax.random.key(10), start, jnp.full(1, 0.5), jnp.full(1, 4.0))
+    belief, collapsed = update(jax.random.key(10), start, jnp.full(1, 0.5), jnp.full(1, reading))
     states = np.ravel(start.states) + 0.5
-    assert not collapsed and np.any(states < 0.75)
-    assert set(np.ravel(belief.states)) == set(states[(states >= 0.75) & (states <= 1.0)])
+    assert not collapsed and not np.any(belief.terminal) and np.any(states < 0.75) and np.any(states > 1.0)
+    assert set(np.ravel(belief.states)) == set(states[(states >= least) & (states <= 1.0)])
 
 
 @pytest.mark.parametrize("reading", [1.0, 2.0, 3.0])

@@ -215,35 +215,26 @@ def test_counts_are_positive():
     )
 
 
-def test_discrete_actions_are_rows_of_numbers():
-    message = "^Discrete: allowed: an array with a row of numbers for each action"
+def test_spaces_of_actions_are_made_of_rows_or_of_vectors_of_one_length_and_precision():
+    box = Box(-jnp.ones(2), jnp.ones(2))
+    given: list[Any] = [
+        *((Discrete, values, "") for values in (3, jnp.arange(3.0), jnp.zeros((0, 1)))),
+        (Box, -1.0, 1.0, "float and float"),
+        (Box, [-1.0], [1.0], "list and list"),
+        (Box, jnp.zeros(1), jnp.ones(2), r"float64 of shape \(1,\) and float64 of shape \(2,\)"),
+        (Mixed, box, [0.0, 1.0], "Box and list"),
+        (Mixed, box, jnp.asarray([0, 1]), r"Box and int64 of shape \(2,\)"),
+        (Mixed, box, jnp.zeros((2, 1)), r"Box and float64 of shape \(2, 1\)"),
+        (Mixed, box, jnp.zeros(0), r"Box and float64 of shape \(0,\)"),
+        (Mixed, jnp.ones(2), jnp.zeros(2), r"\w+ and float64 of shape \(2,\)"),
+    ]
+    messages = {
+        Discrete: "^Discrete: allowed: an array with a row of numbers for each action{}",
+        Box: "^Box: got {}; allowed: two vectors of one length, as arrays",
+        Mixed: "^Mixed: got {}; allowed: a Box, and a vector of levels",
+    }
     with without_annotation_checks():
-        numbers: list[Any] = [3, jnp.arange(3.0), jnp.zeros((0, 1))]
-        assert_refused([(partial(Discrete, values), message) for values in numbers])
-
-
-def test_bounds_of_a_box_are_two_vectors():
-    with without_annotation_checks():
-        message = "^Box: got {}; allowed: two vectors of one length, as arrays"
-        bounds: list[Any] = [
-            (-1.0, 1.0, "float and float"),
-            ([-1.0], [1.0], "list and list"),
-            (jnp.zeros(1), jnp.ones(2), r"float64 of shape \(1,\) and float64 of shape \(2,\)"),
-        ]
-        assert_refused([(partial(Box, *each), message.format(got)) for *each, got in bounds])
-
-
-def test_parts_of_a_mixed_space_have_one_precision():
-    box, message = Box(-jnp.ones(2), jnp.ones(2)), "^Mixed: got {}; allowed: a Box, and a vector of levels"
-    with without_annotation_checks():
-        parts: list[Any] = [
-            (box, [0.0, 1.0], "Box and list"),
-            (box, jnp.asarray([0, 1]), r"Box and int64 of shape \(2,\)"),
-            (box, jnp.zeros((2, 1)), r"Box and float64 of shape \(2, 1\)"),
-            (box, jnp.zeros(0), r"Box and float64 of shape \(0,\)"),
-            (jnp.ones(2), jnp.zeros(2), r"\w+ and float64 of shape \(2,\)"),
-        ]
-        assert_refused([(partial(Mixed, *each), message.format(got)) for *each, got in parts])
+        assert_refused((partial(kind, *each), messages[kind].format(got)) for kind, *each, got in given)
 
 
 def declared(**attributes):
@@ -297,13 +288,10 @@ def angles(turn):
     return property(lambda self: Box(jnp.zeros(1), jnp.full(1, turn), is_angle=True))
 
 
-def test_angles_have_bounds_one_turn_apart():
-    assert_refused(
-        [(declared(actions=angles(2.0)), "^problem: Own: actions: is_angle, but the bounds of Box")]
-    )
+def test_angles_have_bounds_one_turn_apart_and_a_class_passes_whose_episodes_end_at_once():
+    of_bounds = "^problem: Own: actions: is_angle, but the bounds of Box"
+    assert_refused([(declared(actions=angles(2.0)), of_bounds)])
 
-
-def test_a_class_passes_that_has_a_reward_angles_and_episodes_that_end_at_once():
     def reward(self, objective, belief, action, events):
         return 2.0 * events.reward
 
@@ -327,25 +315,16 @@ def test_wrong_shapes_are_refused():
         )
 
 
-def test_probabilities_of_finite_observations_sum_to_1():
-    assert_refused(
-        (refused(line(name, Coin)), f"^problem: Coin: log_likelihood: the probabilities of 3 obs.* {total}")
-        for name, total in (("density", "sum to 4"), ("weights", r"sum to 1\.11"))
-    )
-
-
-def test_finite_observations_have_the_probabilities_of_their_draws():
-    message = "the probability .*, but observe returns it in .*% of draws"
-    assert_refused([(refused(line("the other side", Coin)), message)])
-
-
-def test_whether_observations_come_again_is_checked():
+def test_finite_observations_have_the_probabilities_of_their_draws_and_come_again():
+    total = "^problem: Coin: log_likelihood: the probabilities of 3 obs.* sum to "
+    again = r"observe: \d+ obs.* have 3 values; allowed: has_discrete_observations = True"
+    drawn = "the probability .*, but observe returns it in .*% of draws"
     assert_refused(
         (
-            (
-                refused(ForgottenCoin()),
-                r"observe: \d+ obs.* have 3 values; allowed: has_discrete_observations = True",
-            ),
+            (refused(line("density", Coin)), f"{total}4"),
+            (refused(line("weights", Coin)), rf"{total}1\.11"),
+            (refused(line("the other side", Coin)), drawn),
+            (refused(ForgottenCoin()), again),
             (refused(CountedLine()), "has_discrete_observations is True, but no observation comes again"),
         )
     )
