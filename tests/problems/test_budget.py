@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -177,17 +178,14 @@ def test_the_errors_of_a_region_of_polygons_are_those_of_its_points_in_the_frame
     np.testing.assert_array_equal(found[is_clear], expected[is_clear])
     elsewhere = tmp_path / "far.geojson"
     elsewhere.write_text((tmp_path / "part.geojson").read_text().replace("[10.0", "[10.1"))
+    of_area = partial(Monitoring, area={"kind": "outline", "file": files["area"]}, errors_by_step=True)
     with pytest.raises(ConfigError, match="region: no free point of the grid"):
-        build(
-            Monitoring(
-                area={"kind": "outline", "file": files["area"]}, region=str(elsewhere), errors_by_step=True
-            )
-        )
+        build(of_area(region=str(elsewhere)))
     with pytest.raises(ValueError, match="is in degrees or a map projection, and the problem has no place"):
         Monitoring(region=files["part"], errors_by_step=True)
     with pytest.raises(ValueError, match=r"no.kml: No such file"):
-        Monitoring(area={"kind": "outline", "file": files["area"]}, region="no.kml", errors_by_step=True)
+        of_area(region="no.kml")
     metres = tmp_path / "metres.geojson"
     metres.write_text(json.dumps({"type": "Polygon", "coordinates": [corners["part"]], "crs": None}))
     with pytest.raises(ValueError, match=r"metres.geojson: "):
-        Monitoring(area={"kind": "outline", "file": files["area"]}, region=str(metres), errors_by_step=True)
+        of_area(region=str(metres))

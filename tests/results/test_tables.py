@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+from functools import partial
 from hashlib import sha256
 
 import numpy as np
@@ -27,7 +28,7 @@ from bojax.results.store import (
     write_tables,
 )
 from bojax.results.tables import KEYS, count_nans, sort_rows, to_arrow
-from tests.refusals import one_line
+from tests.refusals import assert_refused, one_line
 
 STEPS = (*KEYS, Column("step", "int32"), Column("reward", "float32", "m", "what the task pays"))
 
@@ -38,31 +39,23 @@ def steps(*rows):
     return to_arrow(STEPS, {name: np.asarray(column) for name, column in zip(names, values, strict=True)})
 
 
-def test_minus_one_is_null_in_a_nullable_column():
-    table = to_arrow(
-        (Column("episodes", "int32", nullable=True), Column("count", "int64")),
-        {"episodes": np.array([3, -1]), "count": np.array([3, -1])},
-    )
-    assert table.to_pydict() == {"episodes": [3, None], "count": [3, -1]}
+@pytest.mark.parametrize(
+    ("column", "given", "kept"),
+    [
+        (Column("x", "int32", nullable=True), [3, -1], [3, None]),
+        (Column("x", "int64"), [3, -1], [3, -1]),
+        (Column("x", "float64", nullable=True), [np.nan, -1.0], [None, -1.0]),
+        (Column("x", "float64"), [np.nan, -1.0], [pytest.approx(np.nan, nan_ok=True), -1.0]),
+        (Column("x", "string", words=("train", "test")), [1, 0], ["test", "train"]),
+    ],
+)
+def test_missing_numbers_are_null_in_a_nullable_column_and_a_code_becomes_its_word(column, given, kept):
+    assert to_arrow((column,), {"x": np.array(given)})["x"].to_pylist() == kept
 
 
-def test_nan_is_null_in_a_nullable_column():
-    columns = {"after": np.array([np.nan, -1.0]), "x": np.array([np.nan, -1.0])}
-    table = to_arrow((Column("after", "float64", nullable=True), Column("x", "float64")), columns)
-    assert table["after"].to_pylist() == [None, -1.0]
-    assert table["x"].null_count == 0
-
-
-def test_only_columns_of_numbers_can_be_nullable():
-    with pytest.raises(ValueError, match="nullable"):
-        Column("x", "bool", nullable=True)
-
-
-def test_a_code_becomes_its_word():
-    table = to_arrow((Column("phase", "string", words=("train", "test")),), {"phase": np.array([1, 0])})
-    assert table["phase"].to_pylist() == ["test", "train"]
-    with pytest.raises(ValueError, match="words"):
-        Column("x", "int32", words=("a",))
+def test_only_columns_of_numbers_can_be_nullable_and_only_texts_have_words():
+    nullable, words = partial(Column, "x", "bool", nullable=True), partial(Column, "x", "int32", words=("a",))
+    assert_refused([(nullable, "nullable"), (words, "words")])
 
 
 def test_types_and_units_are_those_of_the_schema():
@@ -293,22 +286,18 @@ def test_json_that_cannot_be_read_is_one_line(tmp_path, text):
         read_json(tmp_path / "a.json")
 
 
-@pytest.mark.parametrize("read", [read_json, read_table])
-def test_a_pipe_is_refused(tmp_path, read):
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(ResultsError, match="not a regular file"):
-        read(tmp_path / "pipe")
-
-
 def test_unreadable_files_are_one_line(tmp_path):
     (tmp_path / "manifest.json").write_text('{"name": ')
-    for read in (lambda: read_manifest(tmp_path), lambda: read_table(tmp_path / "manifest.json")):
-        with one_line(ResultsError, "truncated"):
-            read()
-    with pytest.raises(ResultsError, match="not a results folder"):
-        read_manifest(tmp_path / "nowhere")
-    with pytest.raises(ResultsError, match="no such file"):
-        read_table(tmp_path / "nowhere.parquet")
+    os.mkfifo(tmp_path / "pipe")
+    refused = [
+        (read_manifest, "", "truncated"),
+        (read_table, "manifest.json", "truncated"),
+        (read_json, "pipe", "not a regular file"),
+        (read_table, "pipe", "not a regular file"),
+        (read_manifest, "nowhere", "not a results folder"),
+        (read_table, "nowhere.parquet", "no such file"),
+    ]
+    assert_refused(((partial(read, tmp_path / name), told) for read, name, told in refused), ResultsError)
 
 
 @pytest.mark.parametrize(
