@@ -18,6 +18,7 @@ from bojax.results.folder import RunFolder
 from tests.engine.test_program_cache import (
     DEVICE,
     advanced,
+    caching_again_in,
     caching_in,
     files,
     group_of,
@@ -25,14 +26,21 @@ from tests.engine.test_program_cache import (
     same_bits,
     spoil,
 )
+from tests.engine.test_program_cache import compiled as compiled
 from tests.tiers import by_tier
 
 
 @pytest.fixture(autouse=True)
-def cache(tmp_path):
-    """An empty cache; the folder of compiled programs in it."""
-    with caching_in(tmp_path / "cache"):
-        yield tmp_path / "cache" / EXECUTABLES
+def cache(compiled, tmp_path):
+    """The cache into which the programs of a group were saved; the folder of compiled programs in it."""
+    with caching_again_in(compiled[1].parent, tmp_path / "copy") as programs:
+        yield programs.parent / EXECUTABLES
+
+
+@pytest.fixture(scope="module")
+def expected(compiled):
+    """What these programs compute."""
+    return advanced(compiled[0])
 
 
 @pytest.fixture
@@ -48,12 +56,10 @@ def key_of(group, lanes: int = 3):
 
 
 @pytest.mark.bits
-def test_programs_are_loaded_without_being_lowered_and_give_the_same_bits(request):
-    made = programs_of(group_of())
-    expected = advanced(made)
+@pytest.mark.usefixtures("loads_only")
+def test_programs_are_loaded_without_being_lowered_and_give_the_same_bits(compiled, expected):
     jax.clear_caches()
-    request.getfixturevalue("loads_only")
-    loaded = programs_of(group_of())
+    made, loaded = compiled[0], programs_of(group_of())
     assert loaded.is_saved
     same_bits(advanced(loaded), expected)
     structures = made.carry_structure, loaded.carry_structure
@@ -65,8 +71,7 @@ def test_programs_are_loaded_without_being_lowered_and_give_the_same_bits(reques
 
 
 @pytest.mark.bits
-def test_another_device_lowers_them_once(cache):
-    expected = advanced(programs_of(group_of()))
+def test_another_device_lowers_them_once(cache, expected):
     key, other = key_of(group_of()), jax.devices("cpu")[1]
     for _ in range(2):
         found = programs_of(group_of(), device=other)
@@ -86,8 +91,7 @@ def test_another_device_lowers_them_once(cache):
         normal=["flipped"],
     ),
 )
-def test_a_damaged_file_is_not_used_and_is_replaced_by_a_compilation(cache, damage):
-    expected = advanced(programs_of(group_of()))
+def test_a_damaged_file_is_not_used_and_is_replaced_by_a_compilation(cache, expected, damage):
     (entry,) = files(cache)
     if damage == "of another group":
         programs_of(group_of(episodes=3))
@@ -109,7 +113,6 @@ def test_a_damaged_file_is_not_used_and_is_replaced_by_a_compilation(cache, dama
 
 def test_without_the_traced_programs_a_group_is_traced_and_saved_again(cache):
     # As after a change of code that does not change the programs.
-    programs_of(group_of())
     entry = cache.parent / "programs" / str(key_of(group_of()))
     entry.unlink()
     before = batch.compile_counts.copy()
@@ -118,9 +121,8 @@ def test_without_the_traced_programs_a_group_is_traced_and_saved_again(cache):
     assert not batch.compile_counts - before and entry.exists()  # JAX has kept them
 
 
-def test_programs_that_jax_has_kept_are_not_written_again(cache):
+def test_programs_that_jax_has_kept_are_not_written_again(cache, expected):
     # XLA would write them without some of their functions.
-    expected = advanced(programs_of(group_of()))
     for entry in files(cache):
         entry.unlink()
     jax.clear_caches()
@@ -134,13 +136,14 @@ def test_programs_that_jax_has_kept_are_not_written_again(cache):
 def test_the_hashes_of_a_plan_are_saved_with_the_programs(tmp_path, monkeypatch):
     key = key_of(group_of())
     folders = [RunFolder(tmp_path / name) for name in ("first", "second")]
-    for folder in folders:
-        folder.work.mkdir(parents=True)
-        plan = Choices(folder.choices)
-        Programs(batch.Functions(group_of()), DEVICE, 3, 0, recorded=0, choices=plan)
-        monkeypatch.setattr(autotuning, "fingerprint", lambda _: pytest.fail("hashed again"))
-    monkeypatch.undo()
-    loaded = executables.load(key, DEVICE)
+    with caching_in(tmp_path / "empty"):
+        for folder in folders:
+            folder.work.mkdir(parents=True)
+            plan = Choices(folder.choices)
+            Programs(batch.Functions(group_of()), DEVICE, 3, 0, recorded=0, choices=plan)
+            monkeypatch.setattr(autotuning, "fingerprint", lambda _: pytest.fail("hashed again"))
+        monkeypatch.undo()
+        loaded = executables.load(key, DEVICE)
     assert loaded is not None and loaded.contents == contents_of(loaded.programs)
     published = [folder.programs() for folder in folders]
     assert published[0] == published[1]
@@ -150,7 +153,6 @@ def test_the_hashes_of_a_plan_are_saved_with_the_programs(tmp_path, monkeypatch)
 
 
 def test_what_is_loaded_is_kept(cache):
-    programs_of(group_of())
     entries = [path for path in files(cache.parent / "programs") if not path.name.startswith("jit_")]
     for path in [*entries, *files(cache)]:
         os.utime(path, times=(1e9, 1e9))

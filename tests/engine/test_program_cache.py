@@ -65,19 +65,22 @@ def compiled(tmp_path_factory):
         return programs_of(group_of()), folder
 
 
+@contextlib.contextmanager
+def caching_again_in(folder, copy):
+    """Keep programs in the folder that they were saved into, whose place JAX's keys contain, for a while."""
+    shutil.copytree(folder, copy)
+    with caching_in(folder) as programs:
+        yield programs
+    shutil.rmtree(folder)
+    shutil.copytree(copy, folder)
+
+
 @pytest.fixture
 def entries(compiled, tmp_path):
-    """The entries of these programs, the group's own first, in their cache: JAX's keys contain its place.
-
-    There are no `executables`, with which they would not be read.
-    """
-    folder = compiled[1].parent
-    shutil.copytree(folder, tmp_path / "copy")
-    shutil.rmtree(folder / EXECUTABLES)
-    with caching_in(folder) as programs:
+    """The entries of these programs, the group's own first; no `executables`, with which none is read."""
+    with caching_again_in(compiled[1].parent, tmp_path / "copy") as programs:
+        shutil.rmtree(programs.parent / EXECUTABLES)
         yield [*groups_in(programs), *programs_in(programs)]
-    shutil.rmtree(folder)
-    shutil.copytree(tmp_path / "copy", folder)
 
 
 def group_of(**changes):
