@@ -352,11 +352,11 @@ def test_scores_of_regions_without_a_grid_point_are_null_and_a_flat_field_has_no
 def test_the_height_between_the_two_nearest_props_is_a_share_of_the_lower_one(room):
     """The props on the left, of 0.2 and 0.25 m, have a gap of 0.4 m."""
     points = np.asarray(room.grid())
-    outside = room._outside(f64(points))
 
+    @jax.jit
     def share(shown):
-        found = Map(f64(points), f64(shown), f64(shown), f64(shown), f64(0.0), jnp.ones(len(points), bool))
-        return float(room._gap_height(found, outside))
+        found = Map(f64(points), shown, shown, shown, f64(0.0), jnp.ones(len(points), bool))
+        return room._gap_height(found, room._outside(f64(points)))
 
     truth = np.asarray(values_of(room.field, f64(points)))
     x, y = points.T
