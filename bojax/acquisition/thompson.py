@@ -24,12 +24,9 @@ class ThompsonSampling(eqx.Module):
 
     Unlike an acquisition function, a draw is not a function of the posterior mean and standard deviation of a
     point. `BayesianOptimisation` takes it in the place of one; planners do not.
-
-    Attributes:
-        num_features: Number of features, even.
     """
 
-    num_features: int = eqx.field(static=True, default=1024)
+    num_features: int = eqx.field(static=True, default=1024)  # number of features, even
 
     def __check_init__(self):
         """Check the number of features, or raise ValueError."""

@@ -31,19 +31,12 @@ _SIZE = re.compile(r"([\d.eE+]+)\s*(k?m)?\s*x\s*([\d.eE+]+)\s*(k?m)?")
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of a file, thinned for drawing.
+    """Values of a file, thinned for drawing."""
 
-    Attributes:
-        file: Its name.
-        points: Positions `[N, 2]`, m.
-        values: Values `[N]`.
-        label: Name of the values, with their unit in parentheses; empty if the file has none.
-    """
-
-    file: str
-    points: np.ndarray
-    values: np.ndarray
-    label: str = ""
+    file: str  # its name
+    points: np.ndarray  # positions `[N, 2]`, m
+    values: np.ndarray  # values `[N]`
+    label: str = ""  # name of the values, with their unit in parentheses; empty if the file has none
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,15 +22,10 @@ Noise: TypeAlias = tuple[Float[Array, "..."], ...]
 
 
 class BayesianLayer(eqx.Module):
-    """Linear functions of the inputs with independent Gaussian weights; the last row are biases.
+    """Linear functions of the inputs with independent Gaussian weights; the last row are biases."""
 
-    Attributes:
-        mean: Means of the weights.
-        rho: The standard deviations of the weights are log(1 + e^rho).
-    """
-
-    mean: Float[Array, "R O"]
-    rho: Float[Array, "R O"]
+    mean: Float[Array, "R O"]  # means of the weights
+    rho: Float[Array, "R O"]  # the standard deviations of the weights are log(1 + e^rho)
 
     @property
     def deviation(self) -> Float[Array, "R O"]:
@@ -50,11 +45,7 @@ class BayesianLayer(eqx.Module):
 
 
 class BayesianNetwork(eqx.Module):
-    """Layers of Gaussian weights with rectified units between them, and a Gaussian likelihood of the outputs.
-
-    Attributes:
-        layers: The layers.
-    """
+    """Layers of Gaussian weights with rectified units between them, and a Gaussian likelihood of outputs."""
 
     layers: tuple[BayesianLayer, ...]
 

@@ -14,17 +14,11 @@ from bojax.numerics.linalg import inverse_cholesky, matmul
 
 
 class Places(eqx.Module):
-    """Places whose variance counts, prepared for many sets of observations.
+    """Places whose variance counts, prepared for many sets of observations."""
 
-    Attributes:
-        points: Their positions.
-        weights: Their weights, which sum to 1.
-        whitened: L^-1 k(X, points).
-    """
-
-    points: Float[Array, "M D"]
-    weights: Float[Array, "M"]
-    whitened: Float[Array, "N M"]
+    points: Float[Array, "M D"]  # their positions
+    weights: Float[Array, "M"]  # their weights, which sum to 1
+    whitened: Float[Array, "N M"]  # L^-1 k(X, points)
 
     @classmethod
     def of(

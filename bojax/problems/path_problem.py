@@ -36,60 +36,37 @@ Root = Any
 
 
 class PathEvents(Events):
-    """Outcome of the execution of a path in the world, with the fields of `Events`.
-
-    Attributes:
-        success: Whether the task is solved.
-        exited: Whether the robot left the domain.
-        driven: Poses of the robot in the world frame; past the pose at which it stopped, that pose is
-            repeated.
-        is_driven: Whether the robot reached each pose of the path.
-        frames: Generalised positions during the motion, for an animation; None if there is nothing to
-            animate.
-    """
+    """Outcome of the execution of a path in the world, with the fields of `Events`."""
 
     reward: Float[Array, ""]
     terminated: Bool[Array, ""]
-    success: Bool[Array, ""]
-    exited: Bool[Array, ""]
+    success: Bool[Array, ""]  # whether the task is solved
+    exited: Bool[Array, ""]  # whether the robot left the domain
+    # Poses of the robot in the world frame; past the pose at which it stopped, that pose is repeated
     driven: Float[Array, "S 3"]
-    is_driven: Bool[Array, "S"]
+    is_driven: Bool[Array, "S"]  # whether the robot reached each pose of the path
+    # Generalised positions during the motion, for an animation; None if there is nothing to animate
     frames: Float[Array, "F Q"] | None = None
     failed: Bool[Array, ""] | None = None
 
 
 class PathRecord(eqx.Module):
-    """Record of an episode.
+    """Record of an episode."""
 
-    Attributes:
-        success: Whether the task has been solved.
-        exited: Number of times that the robot has left the domain.
-        start: Initial pose.
-        paths: Poses driven, in the world frame; NaN for steps not taken.
-        plans: Planned paths, in the robot's frame; NaN for steps not taken.
-        frames: Frames of an animation, see `PathEvents`; NaN for steps not taken.
-    """
-
-    success: Bool[Array, ""]
-    exited: Int[Array, ""]
-    start: Float[Array, "3"]
-    paths: Float[Array, "T S 3"]
-    plans: Float[Array, "T S 3"]
-    frames: Float[Array, "T F Q"] | None
+    success: Bool[Array, ""]  # whether the task has been solved
+    exited: Int[Array, ""]  # number of times that the robot has left the domain
+    start: Float[Array, "3"]  # initial pose
+    paths: Float[Array, "T S 3"]  # poses driven, in the world frame; NaN for steps not taken
+    plans: Float[Array, "T S 3"]  # planned paths, in the robot's frame; NaN for steps not taken
+    frames: Float[Array, "T F Q"] | None  # frames of an animation, see `PathEvents`; NaN for steps not taken
 
 
 class Simulation(eqx.Module):
-    """Result of simulating an action sequence from a node of the search tree.
+    """Result of simulating an action sequence from a node of the search tree."""
 
-    Attributes:
-        node: Belief after the first action.
-        rewards: Reward of each action.
-        terminated: Whether the episode ends with each action; later actions are ignored.
-    """
-
-    node: Node
-    rewards: Float[Array, "H"]
-    terminated: Bool[Array, "H"]
+    node: Node  # belief after the first action
+    rewards: Float[Array, "H"]  # reward of each action
+    terminated: Bool[Array, "H"]  # whether the episode ends with each action; later actions are ignored
 
 
 class PathProblem(Problem):
@@ -98,12 +75,9 @@ class PathProblem(Problem):
     Paths are given in the robot's frame; the problem transforms them to the world frame. A planner decodes
     them from the parameters of a family of motions. `simulate` takes a whole action sequence, so that a
     problem can evaluate a node and its rollout at once.
-
-    Attributes:
-        scores: Columns of `runs.parquet` that `score` computes.
     """
 
-    scores: ClassVar[Table] = ()
+    scores: ClassVar[Table] = ()  # columns of `runs.parquet` that `score` computes
 
     def with_objective(self, objective: Objective) -> "PathProblem":
         """The problem with what `root` prepares for the objective of a planner; itself by default."""

@@ -59,26 +59,19 @@ class StateEvents(Events):
 
 
 class Observed(eqx.Module):
-    """What is observed of a step.
+    """What is observed of a step."""
 
-    Attributes:
-        values: The observation.
-        terminated: Whether the episode has ended.
-    """
-
-    values: Float[Array, "O"]
-    terminated: Bool[Array, ""]
+    values: Float[Array, "O"]  # the observation
+    terminated: Bool[Array, ""]  # whether the episode has ended
 
 
 class StateProblem(StateModel, Problem):
     """A planning problem whose world is a state of a model, and whose belief is a set of particles.
 
     A subclass defines the model: `actions`, `initial`, `step`, `observe` and `log_likelihood`.
-
-    Attributes:
-        num_particles: Particles of the belief between plans.
     """
 
+    # Particles of the belief between plans
     num_particles: int = eqx.field(static=True, default=10_000, kw_only=True)
     samples_belief: ClassVar[bool] = True
 

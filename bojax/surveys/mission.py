@@ -44,19 +44,12 @@ NOTHING: Waypoints = np.zeros((0, 2))
 
 @dataclasses.dataclass(frozen=True)
 class _Leg:
-    """The rest of the survey of a robot.
-
-    Attributes:
-        robot: The robot.
-        entry: Its position, or the first point inside the area.
-        left: Distance left at the entry, m.
-        to_end: The shortest way from there to the end.
-    """
+    """The rest of the survey of a robot."""
 
     robot: Robot
-    entry: Waypoints
-    left: float
-    to_end: Waypoints
+    entry: Waypoints  # its position, or the first point inside the area
+    left: float  # distance left at the entry, m
+    to_end: Waypoints  # the shortest way from there to the end
 
     @property
     def is_outside(self) -> bool:
