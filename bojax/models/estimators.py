@@ -3,6 +3,7 @@
 import abc
 import inspect
 import warnings
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -40,6 +41,7 @@ class _Regressor(abc.ABC):
     """Common parts of the estimators: `get_params`, `set_params`, `score`, and the checks of their data."""
 
     dtype: str | None
+    _fitted_dtype: str  # precision of the posterior
 
     def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Posterior mean, and standard deviation of the noise-free value, at the rows of X.
@@ -97,7 +99,7 @@ class _Regressor(abc.ABC):
     def _queries(self, X: Any) -> np.ndarray:
         if not hasattr(self, "posterior_"):
             raise ValueError(f"{type(self).__name__} has not been fitted: call fit first")
-        X = _matrix(X, self._fitted_dtype())
+        X = _matrix(X, self._fitted_dtype)
         if X.shape[1] != self.n_features_in_:
             raise ValueError(f"X: got {X.shape[1]} columns; allowed: {self.n_features_in_}, as in fit")
         return X
@@ -105,10 +107,6 @@ class _Regressor(abc.ABC):
     @abc.abstractmethod
     def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
         """Posterior mean and variance at the rows of X, which have been checked."""
-
-    @abc.abstractmethod
-    def _fitted_dtype(self) -> str:
-        """Precision of the posterior."""
 
     def _dtype(self) -> str:
         has_float64 = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
@@ -124,6 +122,7 @@ class _Regressor(abc.ABC):
         return self.dtype
 
 
+@dataclass(repr=False, eq=False)
 class GaussianProcessRegressor(_Regressor):
     """Gaussian process regression (2.28-2.30) with the interface of scikit-learn.
 
@@ -153,28 +152,16 @@ class GaussianProcessRegressor(_Regressor):
         dtype: `"float64"` or `"float32"`; by default the default precision of JAX.
     """
 
-    def __init__(
-        self,
-        kernel: Kernel | KernelName = "rbf",
-        noise_variance: float = 0.1,
-        mean: Mean | None = None,
-        *,
-        standardise: bool = True,
-        optimise: bool = True,
-        num_starts: int = 8,
-        num_steps: int = 50,
-        seed: int = 0,
-        dtype: str | None = None,
-    ):
-        self.kernel = kernel
-        self.noise_variance = noise_variance
-        self.mean = mean
-        self.standardise = standardise
-        self.optimise = optimise
-        self.num_starts = num_starts
-        self.num_steps = num_steps
-        self.seed = seed
-        self.dtype = dtype
+    kernel: Kernel | KernelName = "rbf"
+    noise_variance: float = 0.1
+    mean: Mean | None = None
+    _: KW_ONLY
+    standardise: bool = True
+    optimise: bool = True
+    num_starts: int = 8
+    num_steps: int = 50
+    seed: int = 0
+    dtype: str | None = None
 
     def fit(self, X: Any, y: Any, noise_variances: Any = None) -> "GaussianProcessRegressor":
         """Compute the posterior given the rows of X and their values; without rows, it is the prior.
@@ -264,7 +251,7 @@ class GaussianProcessRegressor(_Regressor):
             count=jnp.asarray(number, jnp.int32),
             noise_variances=_given(noise_variances, 1.0, dtype),
         )
-        self.posterior_ = posterior
+        self.posterior_, self._fitted_dtype = posterior, dtype
         self.kernel_ = posterior.kernel
         self.noise_variance_ = float(posterior.noise_variance)
         self.log_marginal_likelihood_ = float(_evidence(posterior))
@@ -274,11 +261,8 @@ class GaussianProcessRegressor(_Regressor):
     def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
         return _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
 
-    @override
-    def _fitted_dtype(self) -> str:
-        return str(self.posterior_.x.dtype)
 
-
+@dataclass(repr=False, eq=False)
 class BayesianLinearRegressor(_Regressor):
     """Bayesian linear regression on features (2.14-2.18) with the interface of scikit-learn.
 
@@ -294,20 +278,12 @@ class BayesianLinearRegressor(_Regressor):
         dtype: `"float64"` or `"float32"`; by default the default precision of JAX.
     """
 
-    def __init__(
-        self,
-        features: Features | None = None,
-        prior_precision: float = 1.0,
-        noise_precision: float = 1.0,
-        *,
-        optimise: bool = True,
-        dtype: str | None = None,
-    ):
-        self.features = features
-        self.prior_precision = prior_precision
-        self.noise_precision = noise_precision
-        self.optimise = optimise
-        self.dtype = dtype
+    features: Features | None = None
+    prior_precision: float = 1.0
+    noise_precision: float = 1.0
+    _: KW_ONLY
+    optimise: bool = True
+    dtype: str | None = None
 
     def fit(self, X: Any, y: Any) -> "BayesianLinearRegressor":
         """Compute the posterior of the weights given the rows of X and their values.
@@ -335,18 +311,14 @@ class BayesianLinearRegressor(_Regressor):
         if is_learned and len(X):
             precisions = maximise_evidence(design, y)
         self.features_ = features
-        self.posterior_ = _fit_linear(design, y, *precisions)
+        self.posterior_, self._fitted_dtype = _fit_linear(design, y, *precisions), dtype
         self.prior_precision_, self.noise_precision_ = map(float, precisions)
         self.log_marginal_likelihood_ = float(_evidence_linear(design, y, *precisions))
         return self
 
     @override
     def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
-        return _predict(self.posterior_, _design(self.features_, X, self._fitted_dtype()))
-
-    @override
-    def _fitted_dtype(self) -> str:
-        return str(self.posterior_.mean.dtype)
+        return _predict(self.posterior_, _design(self.features_, X, self._fitted_dtype))
 
 
 _fit = eqx.filter_jit(GaussianProcess.fit)
