@@ -67,15 +67,13 @@ class LightDarkNd(ReadingProblem):
     ) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
         noise = self.process_noise * jax.random.normal(key, state.shape, state.dtype)
         next_state = state + action + noise
-        ended, distance = self._is_terminal(next_state), self._goal_distances(next_state)
+        distance = self._goal_distances(next_state)
+        ended = jnp.all(distance < self.goal_tolerance)
         width = 0.5 * self.goal_tolerance
         ring = jnp.exp(-0.5 * ((distance - 10.0 * width) / (2.0 * width)) ** 2)
         goal = jnp.where(ended, jnp.exp(-0.5 * (distance / width) ** 2), 0.0)
         reward = self.distance_reward * distance**2 + self.ring_reward * ring + self.goal_reward * goal
         return next_state, jnp.mean(reward), ended
-
-    def _is_terminal(self, state: Float[Array, "D"]) -> Bool[Array, ""]:
-        return jnp.all(self._goal_distances(state) < self.goal_tolerance)
 
     def _goal_distances(self, state: Float[Array, "D"]) -> Float[Array, "N"]:
         goal = jnp.zeros(self.num_dims, state.dtype).at[-1].set(self.goal_distance)

@@ -49,15 +49,12 @@ class PomdpMountainCar(ReadingProblem):
             key, (), state.dtype
         )
         next_state = roll(state, velocity_change, self.gravity)
-        is_there = self._is_terminal(next_state)
+        is_there = next_state[0] >= self.goal_position
         return next_state, is_there.astype(state.dtype), is_there
 
     @override
     def reading(self, action: Float[Array, "1"], next_state: Float[Array, "2"]) -> GaussianReading:
         return GaussianReading(next_state[:1], self.sensor_noise)
-
-    def _is_terminal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
-        return state[0] >= self.goal_position
 
     @override
     def sketch(self, state: Float[Array, "2"]) -> dict[str, Float[Array, "1"]]:

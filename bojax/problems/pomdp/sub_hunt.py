@@ -8,8 +8,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Discrete
-from bojax.problems.pomdp.beams import Beams, beam_towards
-from bojax.problems.pomdp.readings import ReadingProblem
+from bojax.problems.pomdp.readings import Beams, ReadingProblem, beam_towards, length_of
 from bojax.problems.pomdp.sub_hunt_values import Rules, solve
 from bojax.results.outline import Outline
 
@@ -115,7 +114,7 @@ class SubHunt(ReadingProblem):
         targets = self._clamp(state[None, 2:4] + jnp.asarray(_TARGET_MOVES)[state[4]])
         aware = jnp.where(action == PING, 1, state[5])
         offset = (state[2:4] - state[:2]).astype(self.discount.dtype)
-        in_reach = (action == ENGAGE) & (_length(offset) <= self.kill_radius)
+        in_reach = (action == ENGAGE) & (length_of(offset) <= self.kill_radius)
         kill = jnp.where(state[5] == 1, self.kill_probability, 1.0)
         return own, targets, aware, jnp.where(in_reach, kill, 0.0)
 
@@ -159,7 +158,7 @@ class SubHunt(ReadingProblem):
     @override
     def reading(self, action: Float[Array, "1"], next_state: Float[Array, "6"]) -> Beams:
         offset = next_state[2:4] - next_state[:2]
-        distance, pings = _length(offset), action[0] == PING
+        distance, pings = length_of(offset), action[0] == PING
         detected = distance <= self.detection_radius
         other_mean = jnp.where(pings, self.size, self.detection_radius)
         other_noise = jnp.where(pings, self.ping_noise, self.empty_noise)
@@ -167,7 +166,3 @@ class SubHunt(ReadingProblem):
         mean = jnp.where(pings | detected, distance, other_mean)
         index = beam_towards(offset, self.num_beams)
         return Beams(index, mean, noise, other_mean, other_noise, self.num_beams)
-
-
-def _length(vector: Float[Array, "2"]) -> Float[Array, ""]:
-    return jnp.sqrt(vector[0] ** 2 + vector[1] ** 2)

@@ -7,8 +7,7 @@ from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.problems.actions import Box, Mixed
-from bojax.problems.pomdp.beams import Beams, beam_towards
-from bojax.problems.pomdp.readings import ReadingProblem
+from bojax.problems.pomdp.readings import Beams, ReadingProblem, beam_towards, length_of
 from bojax.results.outline import Outline
 
 
@@ -59,12 +58,9 @@ class VdpTag(ReadingProblem):
         noise = self.target_noise * jax.random.normal(key, (2,), state.dtype)
         target = self.drift(state[2:]) + noise
         next_state = jnp.concatenate([self.move(state[:2], action[0]), target])
-        tagged = self._is_terminal(next_state)
+        tagged = length_of(next_state[2:] - next_state[:2]) < self.tag_radius
         reward = jnp.where(tagged, self.tag_reward, self.step_reward)
         return next_state, reward + action[1] * self.look_reward, tagged
-
-    def _is_terminal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
-        return _length(state[2:] - state[:2]) < self.tag_radius
 
     @override
     def sketch(self, state: Float[Array, "4"]) -> dict[str, Float[Array, "2"]]:
@@ -112,8 +108,4 @@ class VdpTag(ReadingProblem):
         offset = next_state[2:] - next_state[:2]
         noise = jnp.where(action[1] > 0.0, self.look_noise, self.noise)
         index = beam_towards(offset, self.num_beams)
-        return Beams(index, _length(offset), noise, self.empty_reading, self.noise, self.num_beams)
-
-
-def _length(vector: Float[Array, "2"]) -> Float[Array, ""]:
-    return jnp.sqrt(vector[0] ** 2 + vector[1] ** 2)
+        return Beams(index, length_of(offset), noise, self.empty_reading, self.noise, self.num_beams)
