@@ -169,16 +169,14 @@ class BayesianOptimisation(eqx.Module):
         best = highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
         if self.num_local > 0:
-            near = self._near_best(state)
-            candidates = jnp.concatenate([candidates, near])
+            candidates = jnp.concatenate([candidates, self._near_best(state)])
         if self.num_starts == 1:
             choice = best_candidate(acquisition, model, best, candidates, model.whiten(candidates))
             point = candidates[choice]
             if self.refine_steps > 0:
                 point = refine(acquisition, model, best, point, self.refine_steps)
         else:
-            steps = self.refine_steps
-            point = best_refined(acquisition, model, best, candidates, self.num_starts, steps)
+            point = best_refined(acquisition, model, best, candidates, self.num_starts, self.refine_steps)
         # After a missing evaluation, the model would ask for nearly the same point again: a quasi-random one
         # instead.
         initial = self._quasirandom(_stream(state, "initial"))[state.num_told % self.num_candidates]
@@ -200,15 +198,15 @@ class BayesianOptimisation(eqx.Module):
                 f"x, y: got shapes {point.shape} and {observed.shape}; "
                 f"allowed: {self.low.shape} and one number"
             )
-        if not is_known((self, state, point, observed)):
-            return self._told(state, point, observed)
-        after = _tell(self, state, point, observed)
-        if int(after.model.num_ignored) > int(state.model.num_ignored):
+        after = self._told(state, point, observed)
+        ignored = after.model.num_ignored, state.model.num_ignored
+        if is_known(ignored) and ignored[0] > ignored[1]:
             raise ValueError(
                 f"tell: got one observation more than {self.capacity}; allowed: <= capacity: set a larger one"
             )
         return after
 
+    @compiled_if_known
     def _told(
         self, state: OptimisationState, point: Float[Array, "D"], observed: Float[Array, ""]
     ) -> OptimisationState:
@@ -397,6 +395,4 @@ def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:
     return jax.random.fold_in(state.key, _STREAMS.index(name))
 
 
-# Each compiled as one program, for calls with known numbers.
-_tell = eqx.filter_jit(BayesianOptimisation._told)
 _score = eqx.filter_jit(BayesianOptimisation._scored)

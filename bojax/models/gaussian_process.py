@@ -16,6 +16,7 @@ from bojax.models.checks import (
     check_count,
     check_key,
     check_readings,
+    compiled_if_known,
     is_known,
     precision,
     to_numbers,
@@ -136,11 +137,10 @@ class GaussianProcess(eqx.Module):
             noise_variances = to_numbers("noise_variances", noise_variances, dtype)
         is_given = jnp.arange(number, dtype=count.dtype) < count
         args = empty, x, y, is_given, noise_variances
-        if not is_known(args):
-            return _all_at_once(*args)
-        check_readings(("x", x), ("y", y), is_given)
-        empty._check_noise(x, is_given, noise_variances)
-        return _fit(*args)
+        if is_known(args):
+            check_readings(("x", x), ("y", y), is_given)
+            empty._check_noise(x, is_given, noise_variances)
+        return _all_at_once(*args)
 
     def refitted(
         self,
@@ -187,13 +187,13 @@ class GaussianProcess(eqx.Module):
         y = to_numbers("y", y, self.y.dtype)
         if noise_variance is not None:
             noise_variance = to_numbers("noise_variance", noise_variance, self.y.dtype)
-        if not is_known((self, x, y, noise_variance)):
-            return self._updated(x, y, noise_variance)
-        is_valid = jnp.ones(1, bool)
-        self._check_room(("x", x[None, :]), ("y", y[None]), is_valid)
-        self._check_noise(x[None, :], is_valid, noise_variance)
-        return _update(self, x, y, noise_variance)
+        if is_known((self, x, y, noise_variance)):
+            is_valid = jnp.ones(1, bool)
+            self._check_room(("x", x[None, :]), ("y", y[None]), is_valid)
+            self._check_noise(x[None, :], is_valid, noise_variance)
+        return self._updated(x, y, noise_variance)
 
+    @compiled_if_known
     def _updated(
         self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None
     ) -> "GaussianProcess":
@@ -225,12 +225,12 @@ class GaussianProcess(eqx.Module):
         if noise_variances is not None:
             noise_variances = to_numbers("noise_variances", noise_variances, self.y.dtype)
         is_valid = jnp.ones(ys.shape, bool) if is_valid is None else jnp.asarray(is_valid, bool)
-        if not is_known((self, xs, ys, is_valid, noise_variances)):
-            return self._extended(xs, ys, is_valid, noise_variances)
-        self._check_room(("xs", xs), ("ys", ys), is_valid)
-        self._check_noise(xs, is_valid, noise_variances)
-        return _extend(self, xs, ys, is_valid, noise_variances)
+        if is_known((self, xs, ys, is_valid, noise_variances)):
+            self._check_room(("xs", xs), ("ys", ys), is_valid)
+            self._check_noise(xs, is_valid, noise_variances)
+        return self._extended(xs, ys, is_valid, noise_variances)
 
+    @compiled_if_known
     def _extended(
         self,
         xs: Float[Array, "S D"],
@@ -462,6 +462,7 @@ class GaussianProcess(eqx.Module):
         return jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count
 
 
+@compiled_if_known
 def _all_at_once(
     empty: GaussianProcess,
     x: Float[Array, "n D"],
@@ -493,8 +494,4 @@ def _all_at_once(
     return data.refitted(empty.kernel, empty.noise_variance, noise_variances)
 
 
-# Each compiled as one program, for calls with known numbers.
-_fit = eqx.filter_jit(_all_at_once)
-_update = eqx.filter_jit(GaussianProcess._updated)
-_extend = eqx.filter_jit(GaussianProcess._extended)
 _variances = eqx.filter_jit(GaussianProcess._prior_variance)
