@@ -198,16 +198,11 @@ def _read(file: str, below: float | None = None) -> tuple[BaseGeometry, str | No
         if not inside.any():
             low, high = np.nanmin(raster.values), np.nanmax(raster.values)
             raise ValueError(f"no cell is below {below:g}: the values are from {low:g} to {high:g}")
-    return _around(raster.x, raster.y, inside), raster.crs, raster
+    return shape_of_cells(raster.x, raster.y, inside), raster.crs, raster
 
 
-def area_of_cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> Area:
-    """The area around the cells `[y, x]` of a grid that are inside, half a cell beyond their centres."""
-    return to_area(_around(x, y, inside))
-
-
-def _around(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> BaseGeometry:
-    """Polygons around the cells that are inside; their border is half a cell from the centres of these."""
+def shape_of_cells(x: np.ndarray, y: np.ndarray, inside: np.ndarray) -> BaseGeometry:
+    """Polygons around the cells `[y, x]` of a grid that are inside, half a cell beyond their centres."""
     from contourpy import FillType, contour_generator
 
     x_step, y_step = x[1] - x[0], y[1] - y[0]

@@ -205,15 +205,12 @@ def _checked(table: "np.ndarray", file: str, allows_holes: bool) -> "np.ndarray"
     return table
 
 
-def sha256_of(file: str) -> str:
-    """The SHA-256 of a file's content."""
-    with Path(file).open("rb") as content:
-        return hashlib.file_digest(content, "sha256").hexdigest()
-
-
 def sha256_of_files(*files: str) -> str:
     """The SHA-256 of the content of a file, or of those of several; `FILE:CHOICE` stands for its file."""
-    digests = [sha256_of(split_choice(file)[0]) for file in files]
+    digests = []
+    for file in files:
+        with Path(split_choice(file)[0]).open("rb") as content:
+            digests.append(hashlib.file_digest(content, "sha256").hexdigest())
     return digests[0] if len(digests) == 1 else hashlib.sha256("".join(digests).encode()).hexdigest()
 
 

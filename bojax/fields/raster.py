@@ -86,7 +86,8 @@ def regular(values: "np.ndarray", x: "np.ndarray", y: "np.ndarray", crs: str | N
         )
     axes = []
     for axis, positions in enumerate((np.asarray(y, float), np.asarray(x, float))):
-        if not np.isfinite(positions).all() or not _is_ordered(positions):
+        steps = np.diff(positions)
+        if not np.isfinite(positions).all() or not ((steps > 0).all() or (steps < 0).all()):
             raise ValueError(f"{file}: the positions of the {('rows', 'columns')[axis]} are not in order")
         if positions[0] > positions[-1]:
             positions, values = positions[::-1], np.flip(values, axis)
@@ -109,8 +110,3 @@ def with_holes(values: "np.ndarray") -> "np.ndarray":
 
     is_missing = np.isin(values, NO_DATA) | (np.abs(values) > LARGEST)
     return np.where(is_missing, np.nan, values)
-
-
-def _is_ordered(positions: "np.ndarray") -> bool:
-    steps = positions[1:] - positions[:-1]
-    return bool((steps > 0).all() or (steps < 0).all())

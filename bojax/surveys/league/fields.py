@@ -19,7 +19,8 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
 
 from bojax.areas.area import Area
-from bojax.areas.place import area_of_cells
+from bojax.areas.place import shape_of_cells
+from bojax.areas.shapes import to_area
 from bojax.surveys.model import FieldModel
 
 SIDE = 10.0
@@ -105,7 +106,7 @@ def _real(name: str, values: np.ndarray) -> Field:
     is_hole = np.isnan(values)
     nearest: Any = distance_transform_edt(is_hole, return_distances=False, return_indices=True)
     x, y = (np.linspace(0.0, SIDE, size) for size in values.shape[::-1])
-    area = area_of_cells(x, y, ~is_hole) if is_hole.any() else SQUARE
+    area = to_area(shape_of_cells(x, y, ~is_hole)) if is_hole.any() else SQUARE
     return _standardised(name, area, _interpolated(values[tuple(nearest)]), is_real=True)
 
 
