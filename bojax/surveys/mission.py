@@ -19,10 +19,10 @@ from bojax.surveys.measurements import LEAST_DATA, MOST_EXACT, Measurements
 from bojax.surveys.mission_file import read_mission, write_mission
 from bojax.surveys.planning import Demand, lawnmower_guesses
 from bojax.surveys.polylines import Waypoints, length_of, rest_of
-from bojax.surveys.robot import Robot
 from bojax.surveys.route import (
     NUM_GRID,
     ROUNDING,
+    Robot,
     Route,
     RouteOptions,
     counted_points,

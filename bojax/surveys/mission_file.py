@@ -13,8 +13,7 @@ from bojax.results.store import write_arrays
 from bojax.surveys.goals import Goal
 from bojax.surveys.measurements import Measurements
 from bojax.surveys.polylines import length_of
-from bojax.surveys.robot import Robot
-from bojax.surveys.route import Route, RouteOptions
+from bojax.surveys.route import Robot, Route, RouteOptions
 from bojax.surveys.validation import positions
 
 if TYPE_CHECKING:
