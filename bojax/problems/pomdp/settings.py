@@ -22,7 +22,7 @@ class StateProblemSettings(ProblemSettings, frozen=True):
     @property
     @override
     def has_success(self) -> bool:
-        return False
+        return self.ends_at_success
 
 
 _Discount = Annotated[float, Field(gt=0, le=1, description="discount of the reward per step")]
@@ -286,11 +286,6 @@ class UncertainPose(StateProblemSettings, frozen=True):
     def outline(self) -> Outline:
         problem = self.problem
         return problem.outline if isinstance(problem, ProblemSettings) else Outline()
-
-    @property
-    @override
-    def has_success(self) -> bool:
-        return True
 
     @property
     @override
