@@ -14,6 +14,7 @@ from bojax.acquisition.thompson import ThompsonSampling
 from bojax.models.checks import (
     Numbers,
     as_numbers,
+    by_name,
     check_count,
     check_finite,
     check_key,
@@ -30,7 +31,6 @@ from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.models.means import ConstantMean, Mean, ZeroMean
-from bojax.models.names import by_name
 from bojax.numerics.quasirandom import shifted_kronecker
 
 PRIOR_SPREAD = 1.5  # default of `prior_spread`

@@ -11,10 +11,9 @@ import numpy as np
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation, OptimisationState, highest
 from bojax.acquisition.functions import Acquisition
 from bojax.api.results import Picture
-from bojax.models.checks import check_count, check_kind, to_numbers
+from bojax.models.checks import by_name, check_count, check_kind, to_numbers
 from bojax.models.estimators import GaussianProcessRegressor
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.models.names import by_name
 from bojax.report import style
 from bojax.report.statistics import BAND
 

@@ -8,7 +8,7 @@ import math
 import numbers
 import operator
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any, ParamSpec, TypeAlias, TypeVar
 
@@ -19,6 +19,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
+from bojax.numerics.construct import construct
 from bojax.numerics.trial import is_users, trial_of
 from bojax.text import one_line
 
@@ -94,6 +95,24 @@ def as_numbers(name: str) -> Callable[[Any], Any]:
         if not jnp.issubdtype(value.dtype, jnp.floating):
             raise _refused(name, given, "numbers")
         return jnp.asarray(value) if isinstance(value, np.ndarray | np.generic) else value
+
+    return convert
+
+
+def by_name(role: str) -> Callable[[Any], Any]:
+    """A converter of a field or an argument, from a name or a mapping of settings to the part.
+
+    Names, settings and defaults are those of config files: `"matern52"`, or `{"kind": "matern52",
+    "lengthscale": [1, 2]}`. Numbers have JAX's default precision. Anything else is returned as it is. The
+    converter raises ConfigError, a ValueError of one line, for an unknown name or a wrong setting.
+    """
+
+    def convert(given: Any) -> Any:
+        if not isinstance(given, str | Mapping):
+            return given
+        from bojax.config.catalog import named  # imports the settings of every room
+
+        return construct(named(role, given), str(jnp.result_type(float)))
 
     return convert
 

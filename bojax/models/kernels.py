@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Scalar
 from typing_extensions import override
 
-from bojax.models.checks import as_numbers, check_kind
-from bojax.models.names import by_name
+from bojax.models.checks import as_numbers, by_name, check_kind
 
 KernelName: TypeAlias = str | Mapping[str, Any]
 """A kernel as in a config file: its name, or a mapping with its `kind` and settings."""
