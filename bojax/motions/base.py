@@ -18,6 +18,9 @@ Pose = Float[Array, "3"]
 """x and y in metres, heading in radians."""
 
 
+KNOTS = 65  # number of points at which the speed along a curve is computed, to measure its length
+
+
 class Poses:
     """The poses of a path, or one pose, as columns: for kernels, which cannot slice an array.
 
@@ -62,10 +65,7 @@ def placed(path: Float[Array, "*S 3"] | Poses, pose: Pose | Poses) -> list[Float
 
 
 def sample_by_arc_length(
-    curve: Callable[[Float[Array, ""]], Float[Array, "2"]],
-    length: Float[Array, ""],
-    num_samples: int,
-    num_knots: int = 65,
+    curve: Callable[[Float[Array, ""]], Float[Array, "2"]], length: Float[Array, ""], num_samples: int
 ) -> Path:
     """A plane curve over [0, 1], scaled to `length` and sampled at equal arc lengths.
 
@@ -76,18 +76,17 @@ def sample_by_arc_length(
         curve: Differentiable position on [0, 1], starting at the origin.
         length: Arc length of the result, in metres.
         num_samples: Number S of poses, at the arc lengths length/S, 2 length/S, ..., length.
-        num_knots: Number of points of the quadrature.
     """
 
     def position_and_velocity(u):
         return jax.jvp(curve, (u,), (jnp.ones_like(u),))
 
     # Arc length as a table over the parameter, inverted by interpolation at equal lengths.
-    knots = jnp.linspace(0.0, 1.0, num_knots, dtype=length.dtype)
+    knots = jnp.linspace(0.0, 1.0, KNOTS, dtype=length.dtype)
     _, velocity = jax.vmap(position_and_velocity)(knots)
     # Elementwise arithmetic: on a CPU, a sum over two coordinates takes longer than all the velocities.
     speed = jnp.sqrt(velocity[:, 0] ** 2 + velocity[:, 1] ** 2)
-    pieces = 0.5 * (speed[1:] + speed[:-1]) / (num_knots - 1)
+    pieces = 0.5 * (speed[1:] + speed[:-1]) / (KNOTS - 1)
     arc = jnp.concatenate([jnp.zeros((1,), length.dtype), jnp.cumsum(pieces)])
     targets = arc[-1] * jnp.arange(1, num_samples + 1, dtype=length.dtype) / num_samples
     position, velocity = jax.vmap(position_and_velocity)(jnp.interp(targets, arc, knots))
