@@ -89,11 +89,7 @@ class BayesianNetwork(eqx.Module):
     ) -> Float[Array, ""]:
         """-log p(targets), summed over rows and outputs; the mean of K draws of the outputs.
 
-        Args:
-            noise: Noise of each draw, `[K, O]` for each layer.
-            inputs: Inputs.
-            targets: Observed outputs.
-            deviation: Standard deviation of the likelihood.
+        The noise of the draws is `[K, O]` for each layer, and `deviation` that of the likelihood.
         """
         outputs = jax.vmap(lambda draws: self.predict(draws, inputs))(noise)
         errors = (targets[None] - outputs) / deviation

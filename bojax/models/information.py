@@ -37,15 +37,8 @@ def explained_variance(
 ) -> Float[Array, "S M"]:
     """Reduction of the variance at each place by each sample, given those before it.
 
-    A sample that is not taken explains nothing.
-
-    Args:
-        posterior: The belief before the samples.
-        places: The places.
-        samples: Positions of the samples, in the order of sampling.
-        is_taken: Whether each is taken.
-        samples_per_point: Number of measurements that one sample stands for: its noise variance is divided
-            by it.
+    Samples are in the order of sampling; one that is not taken explains nothing. Each stands for
+    `samples_per_point` measurements: its noise variance is divided by this number.
     """
     whitened = posterior.whiten(samples)
     noise = jnp.where(is_taken, posterior.noise(samples) / samples_per_point, 1.0)

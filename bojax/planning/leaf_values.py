@@ -123,13 +123,8 @@ def simulated_return(
 ) -> Float[Array, "*R"]:
     """Discounted sums of the rewards of simulations, each to its end or to the horizon.
 
-    Args:
-        key: Random key.
-        act: The next state of all simulations, their rewards, and whether they have ended.
-        start: The state at the start.
-        total: The sums before the first action, zeros.
-        discount: Discount factor.
-        remaining: Number of actions to the horizon.
+    `act` returns the next state of all simulations, their rewards, and whether they have ended. The sums in
+    `total`, before the first action, are zeros, and `remaining` actions are left to the horizon.
     """
 
     def is_active(carry):

@@ -54,11 +54,7 @@ def localise_first(
 ) -> Float[Array, "1"]:
     """Go to the light by moves of 10 and 1, until the belief's standard deviation is small; then QMDP.
 
-    Args:
-        problem: The problem.
-        key: Not used.
-        belief: The belief.
-        threshold: Greatest standard deviation with which QMDP acts.
+    It acts with standard deviations up to `threshold`.
     """
     offset = belief.mean - problem.light
     length = jnp.where(jnp.abs(offset) >= 10.0, 10.0, 1.0)

@@ -21,13 +21,8 @@ def recommended_by_all(
     The value of an action a is the mean return of all simulations of all trees, weighted by the similarity
     k(a, a') = exp(-|a - a'|^2 / (2 l^2)) to their first actions a': sum k R / sum k n, for sums of returns R
     and visits n. Actions of different levels have no similarity. Distances are those of
-    `ActionSpace.coordinates`.
-
-    Args:
-        space: Space of the actions.
-        roots: Actions of the roots, with a leading axis of K trees.
-        lengthscale: The length l.
-        by_value: Whether the highest value is recommended, or else the most visits, weighted by similarity.
+    `ActionSpace.coordinates`, and l is the `lengthscale`. Roots have a leading axis of trees. Without
+    `by_value`, the action with the most visits is recommended, weighted by similarity.
     """
     nominees = jax.vmap(lambda root: root.recommended(by_value).parameters)(roots)
     parameters, visits, returns = (leaf.reshape(-1, *leaf.shape[2:]) for leaf in roots)

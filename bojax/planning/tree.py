@@ -54,14 +54,8 @@ class Tree(eqx.Module):
     ) -> "Tree":
         """A tree with only a root, and room for the nodes of all iterations.
 
-        Args:
-            belief: Belief of the root.
-            iterations: Number of iterations.
-            num_actions: Capacity A of a belief node.
-            dtype: Type of rewards and returns.
-            num_branches: Capacity B of an action node; None for one branch an action.
-            parameters: Parameters of any action; None if they are stored elsewhere.
-            num_totals: Number of sums for each action node.
+        A belief node has room for `num_actions` actions, and an action node for `num_branches` branches; None
+        for one branch an action. `parameters` are those of any action; None if they are stored elsewhere.
         """
         num = iterations + 1
 

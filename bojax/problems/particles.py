@@ -117,10 +117,8 @@ def systematic(
 ) -> Int[Array, "N"]:
     """Indices drawn by systematic resampling: one uniform number places `num` equidistant points.
 
-    Args:
-        key: A random key.
-        log_weights: Logarithms of weights, which need not sum to 1; one at least is finite.
-        num: Number of indices; None for as many as there are weights.
+    There are as many indices as weights if `num` is None. The weights need not sum to 1; one at least is
+    above 0.
     """
     num = log_weights.shape[0] if num is None else num
     weights = jnp.exp(log_weights - jnp.max(log_weights))

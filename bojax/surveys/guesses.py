@@ -11,14 +11,8 @@ def parallel_lines(
     """As many parallel lines across the points as the budget allows, driven to and fro.
 
     The lines cross gaps between the points: a first guess, not a route. Of the four ways to drive the lines,
-    the shortest with the way to the ends is taken. Without a budget for two lines, one line.
-
-    Args:
-        points: Points of the area, m.
-        angle: Direction of the lines, rad.
-        budget: Maximum length, m.
-        start: Fixed first waypoint, if any.
-        end: Fixed last waypoint, if any.
+    the shortest with the way to the ends is taken. Without a budget for two lines, one line. Lengths are in
+    metres, and the angle in radians.
     """
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     along, across = (points @ turn.T).T

@@ -114,15 +114,9 @@ def lawnmowers_within(
     end: np.ndarray | None = None,
     spacing: float = 0.0,
 ) -> list[Turned]:
-    """Lawnmowers of one direction that are at most as long as the budget.
+    """Lawnmowers of one direction that are at most as long as the budget, m; arguments are as of `lawnmower`.
 
-    Args:
-        ground: The area.
-        budget: Maximum length, m.
-        angle: Direction of the lines, counter-clockwise from x, rad.
-        start: First point of the route; free if None.
-        end: Last point of the route; free if None.
-        spacing: Least distance between two lines, m.
+    The spacing is the least distance between two lines.
 
     Returns:
         The one with the closest lines of those that cover the whole area, if the budget is enough for one;

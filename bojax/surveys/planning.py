@@ -141,11 +141,8 @@ def plan_survey(area: Area, model: FieldModel, demand: Demand, optimises: bool =
     Candidates are lawnmowers in all directions and, with a budget, the route that `plan_routes` finds from
     the best of them.
 
-    Args:
-        area: The area; of several parts, the one with the start or else the largest is surveyed.
-        model: The model of the field.
-        demand: Budget and ends.
-        optimises: Whether to look for a better route than the lawnmowers.
+    Of an area in several parts, the one with the start or else the largest is surveyed. `optimises` says
+    whether to look for a better route than the lawnmowers.
 
     Raises:
         ValueError: The ends cannot be reached within the budget, or are not in the area, or no lawnmower
@@ -210,13 +207,8 @@ def lawnmower_guesses(
 ) -> dict[str, tuple[np.ndarray, ...]]:
     """The lawnmowers that are expected to leave the least error, one of each robot, at most `number` of them.
 
-    Args:
-        posterior: Belief about the field.
-        area: The area.
-        region: Part of it where they are driven and errors count; None for all of it.
-        demand: Budget and ends; the part of the area with the first robot's start counts.
-        sampling: Distance between two measurements, m.
-        number: Largest number.
+    They are driven, and errors count, in the part of the area with the first robot's start, and of that in
+    the region, if there is one. A measurement is made at every `sampling` metres.
 
     Raises:
         ValueError: The budget does not reach from the start to the end.

@@ -12,14 +12,7 @@ LITTLE = 0.5
 
 
 def remarks(survey: Survey, demand: Demand, model: FieldModel, prior: str | None) -> Iterator[str]:
-    """Sentences about what a survey does not survey, use or keep.
-
-    Args:
-        survey: The survey.
-        demand: What was asked of it.
-        model: The model of the field.
-        prior: File of the earlier survey; None without one.
-    """
+    """Sentences about what a survey does not survey, use or keep; `prior` is the file of an earlier one."""
     if survey.share < 1.0 - 1e-6:
         has_ends = demand.start is not None or demand.end is not None
         part = "the part with the given points" if has_ends else "the largest part"

@@ -98,15 +98,9 @@ def adaptive_route(
     leg_length: float = LEG,
     changed: Callable[[Mission, Waypoints], Waypoints] = lambda mission, plan: plan,
 ) -> Waypoints:
-    """The route of a `Mission` with a goal, which is planned anew on the way from what it has measured.
+    """The route of a `Mission` from start `index`, which is planned anew after every leg.
 
-    Args:
-        field: The field.
-        length: Length of the route.
-        index: Number of the start.
-        goal: The goal.
-        leg_length: Distance that is driven before it is planned anew.
-        changed: Changes a plan, from the position on, before it is driven.
+    `changed` changes a plan, from the position on, before it is driven.
     """
     part = surveyed(field.area)
     start = start_of(part, index)
