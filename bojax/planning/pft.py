@@ -21,6 +21,7 @@ from bojax.planning.leaf_values import (
 from bojax.planning.oracles import policy_named
 from bojax.planning.tree import ROOT, Tree, row
 from bojax.problems.particles import Particles, systematic
+from bojax.problems.state_model import Action, State
 from bojax.problems.state_space import StateProblem
 
 ENTROPY_FLOOR = 1e-6
@@ -43,12 +44,7 @@ class BeliefStep(eqx.Module):
     is_published: bool = eqx.field(static=True)  # whether termination is treated as in the published program
 
     def __call__(
-        self,
-        key: Key[Array, ""],
-        problem: StateProblem,
-        belief: ParticleSet,
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
+        self, key: Key[Array, ""], problem: StateProblem, belief: ParticleSet, state: State, action: Action
     ) -> tuple[ParticleSet, Float[Array, ""], Bool[Array, ""], Float[Array, ""]]:
         """The next belief, its reward, whether it is terminal, and its entropy before it was resampled.
 
@@ -172,9 +168,9 @@ class PFT(BeliefSearch):
         key: Key[Array, ""],
         problem: StateProblem,
         tree: Tree,
-        state: Float[Array, "D"],
+        state: State,
         node: Int[Array, ""],
-        action: Float[Array, "K"],
+        action: Action,
     ) -> Expansion:
         key_state, key_step = jax.random.split(key)
         belief = self.leaf_at(tree, state, node)
@@ -188,7 +184,7 @@ class PFT(BeliefSearch):
         return Expansion(after, reward, is_terminal, after)
 
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> ParticleSet:
+    def leaf_at(self, tree: Tree, state: State, node: Int[Array, ""]) -> ParticleSet:
         return jax.tree.map(lambda leaf: row(leaf, node), tree.beliefs)
 
 

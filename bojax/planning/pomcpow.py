@@ -14,6 +14,7 @@ from bojax.planning.belief_search import Draw, Expansion
 from bojax.planning.leaf_values import ParticleSet
 from bojax.planning.tree import UNVISITED, Tree, row
 from bojax.problems.particles import Particles
+from bojax.problems.state_model import Action, Observation, State
 from bojax.problems.state_space import StateProblem
 
 
@@ -69,11 +70,11 @@ class POMCPOW(BeliefSearch):
         key: Key[Array, ""],
         problem: StateProblem,
         tree: Tree,
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
+        state: State,
+        action: Action,
         branch: Int[Array, ""],
         is_followed: Bool[Array, ""],
-    ) -> tuple[Reservoirs, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+    ) -> tuple[Reservoirs, State, Float[Array, ""], Bool[Array, ""]]:
         key_step, key_places, key_draw = jax.random.split(key, 3)
         # What comes after the write of a row is read from the new array: XLA copies an array whose old rows
         # are read by what need not precede the write.
@@ -100,9 +101,9 @@ class POMCPOW(BeliefSearch):
         key: Key[Array, ""],
         problem: StateProblem,
         tree: Tree,
-        state: Float[Array, "D"],
+        state: State,
         node: Int[Array, ""],
-        action: Float[Array, "K"],
+        action: Action,
     ) -> Expansion:
         next_state, reward, ended, observation = _simulated(key, problem, state, action)
         step = _packed(next_state, reward, ended)
@@ -116,7 +117,7 @@ class POMCPOW(BeliefSearch):
         return Expansion(belief, reward, ended, ParticleSet(next_state[None], ~ended[None]))
 
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> ParticleSet:
+    def leaf_at(self, tree: Tree, state: State, node: Int[Array, ""]) -> ParticleSet:
         return ParticleSet(state[None], jnp.ones((1,), bool))
 
 
@@ -124,8 +125,8 @@ def _draw(
     problem: StateProblem,
     key: Key[Array, ""],
     tree: Tree,
-    state: Float[Array, "D"],
-    action: Float[Array, "K"],
+    state: State,
+    action: Action,
     branches: Int[Array, "B"],
     is_counted: Bool[Array, ""],
 ) -> tuple[Reservoirs, Bool[Array, ""], Float[Array, "B"]]:
@@ -138,25 +139,21 @@ def _draw(
 
 
 def _simulated(
-    key: Key[Array, ""], problem: StateProblem, state: Float[Array, "D"], action: Float[Array, "K"]
-) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""], Float[Array, "O"]]:
+    key: Key[Array, ""], problem: StateProblem, state: State, action: Action
+) -> tuple[State, Float[Array, ""], Bool[Array, ""], Observation]:
     """A step and its observation: next state, reward, whether the next state is terminal, observation."""
     key_step, key_observation = jax.random.split(key)
     next_state, reward, ended = problem.step(key_step, state, action)
     return next_state, reward, ended, problem.observe(key_observation, state, action, next_state)
 
 
-def _packed(state: Float[Array, "D"], reward: Float[Array, ""], ended: Bool[Array, ""]) -> Float[Array, "S"]:
+def _packed(state: State, reward: Float[Array, ""], ended: Bool[Array, ""]) -> Float[Array, "S"]:
     """A step in one array, which is read and written at once."""
     return jnp.concatenate([state, reward[None], ended[None].astype(state.dtype)])
 
 
 def _log_weight(
-    problem: StateProblem,
-    observation: Float[Array, "O"],
-    state: Float[Array, "D"],
-    action: Float[Array, "K"],
-    next_state: Float[Array, "D"],
+    problem: StateProblem, observation: Observation, state: State, action: Action, next_state: State
 ) -> Float[Array, ""]:
     log_weight = problem.log_likelihood(observation, state, action, next_state)
     return jnp.where(jnp.isnan(log_weight), -jnp.inf, log_weight)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.numerics.linalg import matmul
-from bojax.problems.state_model import StateModel
+from bojax.problems.state_model import Action, Observation, State, StateModel
 
 
 class Particles(eqx.Module):
@@ -31,7 +31,7 @@ class Particles(eqx.Module):
         return replace(self, collapses=zero, outside=zero)
 
     @property
-    def mean(self) -> Float[Array, "D"]:
+    def mean(self) -> State:
         """Weighted mean."""
         return matmul(jnp.exp(self.log_weights), self.states)
 
@@ -55,7 +55,7 @@ class Particles(eqx.Module):
         at = (jnp.arange(num, dtype=ends.dtype) + 0.5) / num * ends[-1]
         return self.states[jnp.searchsorted(ends, at)]
 
-    def sample(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+    def sample(self, key: Key[Array, ""]) -> State:
         """A state drawn by weight."""
         return self.states[jax.random.categorical(key, self.log_weights)]
 
@@ -67,11 +67,7 @@ def initial(problem: StateModel, key: Key[Array, ""], num_particles: int) -> Par
 
 
 def update(
-    problem: StateModel,
-    key: Key[Array, ""],
-    particles: Particles,
-    action: Float[Array, "K"],
-    observation: Float[Array, "O"],
+    problem: StateModel, key: Key[Array, ""], particles: Particles, action: Action, observation: Observation
 ) -> tuple[Particles, Bool[Array, ""]]:
     """The belief after an action and an observation, and whether it has collapsed, see `condition`."""
     propagate_key, condition_key = jax.random.split(key)
@@ -80,7 +76,7 @@ def update(
 
 
 def propagate(
-    problem: StateModel, key: Key[Array, ""], particles: Particles, action: Float[Array, "K"]
+    problem: StateModel, key: Key[Array, ""], particles: Particles, action: Action
 ) -> tuple[Particles, Float[Array, "M"]]:
     """The particles after an action, each in its place and with its weight, and the reward of each."""
     keys = jax.random.split(key, particles.states.shape[0])
@@ -92,9 +88,9 @@ def condition(
     problem: StateModel,
     key: Key[Array, ""],
     before: Particles,
-    action: Float[Array, "K"],
+    action: Action,
     moved: Particles,
-    observation: Float[Array, "O"],
+    observation: Observation,
 ) -> tuple[Particles, Bool[Array, ""]]:
     """Weigh moved particles by an observation of a state that is not terminal, and resample.
 

@@ -8,6 +8,12 @@ from jaxtyping import Array, Bool, Float, Key
 
 from bojax.problems.actions import ActionSpace
 
+State = Float[Array, "D"]
+Action = Float[Array, "K"]
+Observation = Float[Array, "O"]
+Step = tuple[State, Float[Array, ""], Bool[Array, ""]]
+"""The next state, the reward, and whether the next state is terminal."""
+
 
 class StateModel(eqx.Module):
     """How a state follows from an action, what is observed, and how likely an observation is; all vectors.
@@ -31,35 +37,23 @@ class StateModel(eqx.Module):
         """The actions, and how a planner parametrises them."""
 
     @abc.abstractmethod
-    def initial(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+    def initial(self, key: Key[Array, ""]) -> State:
         """A state drawn from the initial belief."""
 
     @abc.abstractmethod
-    def step(
-        self, key: Key[Array, ""], state: Float[Array, "D"], action: Float[Array, "K"]
-    ) -> tuple[Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+    def step(self, key: Key[Array, ""], state: State, action: Action) -> Step:
         """The next state, the reward, and whether the next state is terminal."""
 
     @abc.abstractmethod
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, "O"]:
+    def observe(self, key: Key[Array, ""], state: State, action: Action, next_state: State) -> Observation:
         """An observation after a step."""
 
     @abc.abstractmethod
     def log_likelihood(
-        self,
-        observation: Float[Array, "O"],
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
+        self, observation: Observation, state: State, action: Action, next_state: State
     ) -> Float[Array, ""]:
         """Logarithm of the density, or of the probability, of an observation after a step."""
 
-    def heuristic_value(self, state: Float[Array, "D"]) -> Float[Array, ""] | None:
+    def heuristic_value(self, state: State) -> Float[Array, ""] | None:
         """Value of a state if states were observed (MDP), as a leaf value; None if it is not known."""
         return None

@@ -24,7 +24,7 @@ from bojax.problems.base import (
     Problem,
 )
 from bojax.problems.particles import Particles
-from bojax.problems.state_model import StateModel
+from bojax.problems.state_model import Action, Observation, State, StateModel
 from bojax.results.schema import Column, Table
 
 NUM_DRAWN = 64
@@ -86,7 +86,7 @@ class StateProblem(StateModel, Problem):
         if self.num_particles < 1:
             raise ValueError(f"num_particles: got {self.num_particles}; allowed: >= 1")
 
-    def sketch(self, state: Float[Array, "D"]) -> dict[str, Float[Array, "P"]]:
+    def sketch(self, state: State) -> dict[str, Float[Array, "P"]]:
         """What pictures and films draw of a state: named points of a plane, or numbers, drawn by step.
 
         By default, the first two components of the state, or its only one. The scenery is `outline`.
@@ -94,28 +94,24 @@ class StateProblem(StateModel, Problem):
         return {"state": state[:2]}
 
     def filter(
-        self,
-        key: Key[Array, ""],
-        belief: Particles,
-        action: Float[Array, "K"],
-        observation: Float[Array, "O"],
+        self, key: Key[Array, ""], belief: Particles, action: Action, observation: Observation
     ) -> tuple[Particles, Bool[Array, ""]]:
         """The belief after an action and an observation, and whether no particle explains the observation."""
         return particles.update(self, key, belief, action, observation)
 
     @override
-    def reset(self, key: Key[Array, ""]) -> Float[Array, "D"]:
+    def reset(self, key: Key[Array, ""]) -> State:
         return self.initial(key)
 
     @override
-    def prior(self, key: Key[Array, ""], world: Float[Array, "D"], num_samples: int) -> Particles:
+    def prior(self, key: Key[Array, ""], world: State, num_samples: int) -> Particles:
         """Draws from the initial belief, which do not depend on the world."""
         return particles.initial(self, key, self.num_particles).counted()
 
     @override
     def execute(
-        self, key: Key[Array, ""], world: Float[Array, "D"], action: Float[Array, "K"]
-    ) -> tuple[Float[Array, "D"], Observed, StateEvents]:
+        self, key: Key[Array, ""], world: State, action: Action
+    ) -> tuple[State, Observed, StateEvents]:
         key_step, key_observe = jax.random.split(key)
         after, reward, terminated = self.step(key_step, world, action)
         values = self.observe(key_observe, world, action, after)
@@ -123,11 +119,7 @@ class StateProblem(StateModel, Problem):
 
     @override
     def update(
-        self,
-        belief: Particles,
-        action: Float[Array, "K"],
-        observation: Observed,
-        key: Key[Array, ""] | None = None,
+        self, belief: Particles, action: Action, observation: Observed, key: Key[Array, ""] | None = None
     ) -> Particles:
         assert key is not None and belief.collapses is not None and belief.outside is not None
         after, collapsed = self.filter(key, belief, action, observation.values)
@@ -171,16 +163,16 @@ class StateProblem(StateModel, Problem):
         return found | dict.fromkeys(of_state, "true state after the action")
 
     @override
-    def step_row(self, action: Float[Array, "K"], observation: Observed) -> dict[str, Scalar]:
+    def step_row(self, action: Action, observation: Observed) -> dict[str, Scalar]:
         parts = {"action": action, "observation": observation.values}
         return {f"{name}_{i}": value for name, values in parts.items() for i, value in enumerate(values)}
 
     @override
-    def row(self, world: Float[Array, "D"]) -> dict[str, Scalar]:
+    def row(self, world: State) -> dict[str, Scalar]:
         return {f"state_{index}": value for index, value in enumerate(world)}
 
     @override
-    def begin_record(self, world: Float[Array, "D"], belief: Particles, num_samples: int) -> Sketch:
+    def begin_record(self, world: State, belief: Particles, num_samples: int) -> Sketch:
         points = self._points(world, belief)
         empty = (jnp.full((self.max_steps + 1, *x.shape), jnp.nan, x.dtype) for x in points.values())
         return {name: record.at[0].set(points[name]) for name, record in zip(points, empty, strict=True)}
@@ -190,26 +182,24 @@ class StateProblem(StateModel, Problem):
         self,
         record: Sketch,
         step: Int[Array, ""],
-        action: Float[Array, "K"],
+        action: Action,
         events: StateEvents,
-        world: Float[Array, "D"],
+        world: State,
         belief: Particles,
     ) -> Sketch:
         points = self._points(world, belief)
         return {name: rows.at[step + 1].set(points[name]) for name, rows in record.items()}
 
     @override
-    def arrays(
-        self, record: Sketch, world: Float[Array, "D"], belief: Particles
-    ) -> dict[str, dict[str, Array]]:
+    def arrays(self, record: Sketch, world: State, belief: Particles) -> dict[str, dict[str, Array]]:
         """The points of every step, `[max_steps + 1, 1 + NUM_DRAWN, P]`; NaN after the last one."""
         return {"sketch": record}
 
-    def _points(self, world: Float[Array, "D"], belief: Particles) -> Sketch:
+    def _points(self, world: State, belief: Particles) -> Sketch:
         states = jnp.concatenate([world[None], belief.quantiles(NUM_DRAWN)])
         return jax.vmap(self.sketch)(states)
 
     @override
-    def summary(self, record: Sketch, world: Float[Array, "D"], belief: Particles) -> dict[str, Scalar]:
+    def summary(self, record: Sketch, world: State, belief: Particles) -> dict[str, Scalar]:
         assert belief.collapses is not None and belief.outside is not None
         return {COLLAPSES.name: belief.collapses, OUTSIDE.name: belief.outside}

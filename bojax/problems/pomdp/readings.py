@@ -9,6 +9,7 @@ from jax.scipy.stats import norm
 from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
+from bojax.problems.state_model import Action, Observation, State
 from bojax.problems.state_space import StateProblem
 
 
@@ -16,11 +17,11 @@ class Reading(eqx.Module):
     """The distribution of an observation."""
 
     @abc.abstractmethod
-    def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
+    def sample(self, key: Key[Array, ""]) -> Observation:
         """An observation."""
 
     @abc.abstractmethod
-    def log_density(self, observation: Float[Array, "O"]) -> Float[Array, ""]:
+    def log_density(self, observation: Observation) -> Float[Array, ""]:
         """Logarithm of the density, or of the probability, of an observation."""
 
 
@@ -31,11 +32,11 @@ class GaussianReading(Reading):
     noise: Float[Array, "*O"]  # standard deviations, or one for all
 
     @override
-    def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
+    def sample(self, key: Key[Array, ""]) -> Observation:
         return self.mean + self.noise * jax.random.normal(key, self.mean.shape, self.mean.dtype)
 
     @override
-    def log_density(self, observation: Float[Array, "O"]) -> Float[Array, ""]:
+    def log_density(self, observation: Observation) -> Float[Array, ""]:
         return jnp.sum(norm.logpdf(observation, self.mean, self.noise))
 
 
@@ -46,12 +47,12 @@ class BinaryReading(Reading):
     accuracy: Float[Array, ""]  # probability that an answer is right
 
     @override
-    def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
+    def sample(self, key: Key[Array, ""]) -> Observation:
         is_right = jax.random.bernoulli(key, self.accuracy, self.truth.shape)
         return jnp.where(is_right, self.truth, 1.0 - self.truth)
 
     @override
-    def log_density(self, observation: Float[Array, "O"]) -> Float[Array, ""]:
+    def log_density(self, observation: Observation) -> Float[Array, ""]:
         is_right = observation == self.truth
         return jnp.sum(jnp.log(jnp.where(is_right, self.accuracy, 1.0 - self.accuracy)))
 
@@ -70,14 +71,14 @@ class Beams(Reading):
     num: int = eqx.field(static=True)  # number of beams
 
     @override
-    def sample(self, key: Key[Array, ""]) -> Float[Array, "O"]:
+    def sample(self, key: Key[Array, ""]) -> Observation:
         is_target = jnp.arange(self.num, dtype=jnp.int32) == self.index
         mean = jnp.where(is_target, self.mean, self.other_mean)
         noise = jnp.where(is_target, self.noise, self.other_noise)
         return mean + noise * jax.random.normal(key, (self.num,), mean.dtype)
 
     @override
-    def log_density(self, observation: Float[Array, "O"]) -> Float[Array, ""]:
+    def log_density(self, observation: Observation) -> Float[Array, ""]:
         # The sum over other beams is the same for all particles, which thus evaluate one beam each.
         others = norm.logpdf(observation, self.other_mean, self.other_noise)
         reading = observation[self.index]
@@ -101,25 +102,15 @@ class ReadingProblem(StateProblem):
     """A state problem whose observation depends on the action and on the next state alone."""
 
     @abc.abstractmethod
-    def reading(self, action: Float[Array, "K"], next_state: Float[Array, "D"]) -> Reading:
+    def reading(self, action: Action, next_state: State) -> Reading:
         """The distribution of the observation after a step."""
 
     @override
-    def observe(
-        self,
-        key: Key[Array, ""],
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
-    ) -> Float[Array, "O"]:
+    def observe(self, key: Key[Array, ""], state: State, action: Action, next_state: State) -> Observation:
         return self.reading(action, next_state).sample(key)
 
     @override
     def log_likelihood(
-        self,
-        observation: Float[Array, "O"],
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        next_state: Float[Array, "D"],
+        self, observation: Observation, state: State, action: Action, next_state: State
     ) -> Float[Array, ""]:
         return self.reading(action, next_state).log_density(observation)
