@@ -171,11 +171,6 @@ class FieldProblem(PathProblem):
             return None
         return self.arena.outline(self.start)
 
-    @override
-    def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        """Scores of the final belief: `field_score`, and others that a subclass adds."""
-        return self.field_score(world, belief)
-
     @property
     def true_field(self) -> Field:
         """The field that the world has.
@@ -220,7 +215,7 @@ class FieldProblem(PathProblem):
         """The errors after the step, on the grid of the final scores."""
         if not self.errors_by_step:
             return {}
-        scores = self.field_score(world, belief)
+        scores = FieldProblem.score(self, world, belief)  # without those that a subclass adds
         return {column.name: scores[column.name] for column in self._error_columns}
 
     @property
@@ -390,7 +385,8 @@ class FieldProblem(PathProblem):
         """Points of the grid on which the final belief is scored, in rows of equal y."""
         return self.arena.grid(self.resolution)
 
-    def field_score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
+    @override
+    def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """The columns of `FIELD_COLUMNS`, and with a region those of `REGION_COLUMNS`."""
         grid, posterior = self.grid(), belief.posterior
         mean, variance = belief.predict_grid(grid, self.resolution)

@@ -120,7 +120,7 @@ class HeightMapping(FieldProblem):
 
     @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        return self.field_score(world, belief) | map_score(self, belief, final_map(self, belief))
+        return super().score(world, belief) | map_score(self, belief, final_map(self, belief))
 
 
 class PropMapping(FieldProblem):
@@ -153,7 +153,7 @@ class PropMapping(FieldProblem):
         edge = final.is_open & jnp.any(jnp.abs(outside) <= EDGE, axis=1)
         at_edges = _rms(final.error, edge)
         return (
-            self.field_score(world, belief)
+            super().score(world, belief)
             | map_score(self, belief, final)
             | {
                 "edge_error": at_edges,
