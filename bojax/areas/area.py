@@ -104,6 +104,11 @@ class Area:
         return inside
 
 
+def longer_side(bounds: tuple[float, float, float, float]) -> float:
+    """The longer side of a box `(x_min, y_min, x_max, y_max)`."""
+    return max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+
+
 def check_inside(
     area: Area,
     point: np.ndarray,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bojax.areas.area import Area
+from bojax.areas.area import Area, longer_side
 from bojax.areas.distance_grid import DistanceGrid
 from bojax.models.checks import compiled_if_known
 
@@ -42,8 +42,7 @@ class OutlinedArea(eqx.Module):
         from bojax.areas.place import read_outlined  # not at the start of every run
 
         area = read_outlined(file, tuple(avoid), below, frame, sha256).area
-        x_min, y_min, x_max, y_max = area.bounds
-        self.distance = DistanceGrid.of(area, max(x_max - x_min, y_max - y_min) / resolution)
+        self.distance = DistanceGrid.of(area, longer_side(area.bounds) / resolution)
         self.corners = jnp.asarray(np.concatenate(area.outline))
         self.ring_ends = tuple(np.cumsum([len(ring) for ring in area.outline]).tolist())
         self.checks = checks

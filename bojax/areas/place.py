@@ -138,8 +138,7 @@ def read_place(area: str, below: float | None = None, frame: Projection | None =
         notes = [] if raster is None else [f"{area}: {note}" for note in raster.notes]
         if raster is not None and raster.step > 1:
             notes.append(f"{area}: only every {raster.step}th row and column is used.")
-        x_min, y_min, x_max, y_max = shape.bounds
-        projection = frame or Projection.of(crs, (x_min, y_min, x_max, y_max), area)
+        projection = frame or Projection.of(crs, shape.bounds, area)
         local = shapely.transform(shape, lambda points: projection.from_other(points, crs))
         values = None if raster is None else values_of(area, raster, raster.crs, projection)
     if projection.distortion > TOLERANCE:

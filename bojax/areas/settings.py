@@ -91,13 +91,13 @@ class OutlinedArea(AreaSettings, frozen=True):
         import numpy as np
         import shapely
 
+        from bojax.areas.area import longer_side
         from bojax.areas.shapes import polygons_of, to_shape
 
         place = self.place
         parts = polygons_of(to_shape(place.area))
         held = [set(range(len(parts)))]
-        x_min, y_min, x_max, y_max = place.area.bounds
-        tolerance = max(x_max - x_min, y_max - y_min) / self.resolution / 2.0
+        tolerance = longer_side(place.area.bounds) / self.resolution / 2.0
         for name, (x, y) in points.items():
             near = np.flatnonzero(shapely.dwithin(parts, shapely.Point(x, y), tolerance))
             if not len(near):

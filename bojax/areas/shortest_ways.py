@@ -8,6 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 from shapely.geometry.base import BaseGeometry
 
+from bojax.areas.area import longer_side
 from bojax.areas.transfers import Transfers
 
 CELLS = 128
@@ -32,7 +33,7 @@ def shortest_ways(shape: BaseGeometry, end: np.ndarray) -> dict[str, Any]:
     """The shortest ways in a polygon to a point `[2]` in it: fields of `WaysToEnd` but for its `slack`."""
     transfers = Transfers(shape)
     x_min, y_min, x_max, y_max = shape.bounds
-    spacing = max(x_max - x_min, y_max - y_min) / CELLS
+    spacing = longer_side(shape.bounds) / CELLS
     columns, rows = (
         low + spacing * np.arange(int(np.ceil((high - low) / spacing)) + 1)
         for low, high in ((x_min, x_max), (y_min, y_max))

@@ -7,6 +7,7 @@ import shapely
 from scipy.sparse.csgraph import dijkstra
 from shapely.geometry.base import BaseGeometry
 
+from bojax.areas.area import longer_side
 from bojax.areas.shapes import rings_of
 from bojax.areas.triangles import Triangles, nodes_to
 
@@ -26,8 +27,7 @@ class Transfers:
 
         With a clearance, they bend at least so far from it, m, where there is room for that.
         """
-        x_min, y_min, x_max, y_max = shape.bounds
-        self._tolerance = max(1e-9 * max(x_max - x_min, y_max - y_min), 1e-6)  # as of `check_inside`
+        self._tolerance = max(1e-9 * longer_side(shape.bounds), 1e-6)  # as of `check_inside`
         self._shape = shape.buffer(self._tolerance)
         shapely.prepare(self._shape)
         self._simple = shape.buffer(-clearance, quad_segs=2) if clearance > 0.0 else shape

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from bojax.areas.area import Area, check_inside
+from bojax.areas.area import Area, check_inside, longer_side
 from bojax.areas.shapes import to_area
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal, goal_of
@@ -160,8 +160,7 @@ class Mission:
 
     def _prepare(self, area: Area, robots: list[Robot], options: RouteOptions | None) -> None:
         """Begin without a measurement, with robots that may be anywhere."""
-        x_min, y_min, x_max, y_max = area.bounds
-        self._size = max(x_max - x_min, y_max - y_min)
+        self._size = longer_side(area.bounds)
         self.area, self.robots, self.separation = area, robots, 0.0
         self.options = OPTIONS if options is None else options
         self.relearn_every, self.seed = None, 0

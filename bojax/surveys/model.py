@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bojax.areas.area import longer_side
 from bojax.areas.place import MOST_CELLS, Place, Values, values_of
 from bojax.fields.data import in_file, read_points, split_choice
 from bojax.fields.raster import DEGREES
@@ -92,8 +93,7 @@ def learned_model(file: str, place: Place, lengthscale: float | None) -> FieldMo
     points, values, read, notes = _read_values(file, place)
     if len(values) < 10:
         raise ValueError(f"{file}: got {len(values)} values; allowed: at least 10 to learn from")
-    x_min, y_min, x_max, y_max = place.area.bounds
-    width, extent = max(x_max - x_min, y_max - y_min), float(np.ptp(points, axis=0).max())
+    width, extent = longer_side(place.area.bounds), float(np.ptp(points, axis=0).max())
     beyond = _distances(points, place)
     if beyond.min() > 0.0:
         away = float(f"{beyond.min():.2g}")

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from bojax.areas.area import Area
+from bojax.areas.area import Area, longer_side
 from bojax.areas.distance_grid import DistanceGrid
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.quasirandom import generalised_golden_ratio
@@ -155,7 +155,7 @@ def plan_routes(
 
     maps = jnp.asarray(plausible_maps(options), dtype)
     descent, final = (_models(posterior, jnp.asarray(grid, dtype), maps, weight) for grid in (points, scored))
-    size, number = _extent(area), samples_of_each(len(starts))
+    size, number = longer_side(area.bounds), samples_of_each(len(starts))
     fixed = [
         Ends(*(None if at is None else jnp.asarray(at, dtype) for at in pair))
         for pair in zip(starts, ends, strict=True)
@@ -218,10 +218,10 @@ def samples_of_each(num_robots: int) -> int:
 
 def stays_inside(route: Waypoints, area: Area) -> bool:
     """Whether the points at every 1/500 of the area's size along a route, and its waypoints, lie inside."""
-    number = 2 + int(length_of(route) / _extent(area) * 500)
+    number = 2 + int(length_of(route) / longer_side(area.bounds) * 500)
     points = np.concatenate([route, with_waypoints(route, len(route) + number)])
     outside = points[~area.contains(points)]  # distances take longer where a border has many edges
-    return bool(np.all(area.distances(outside) >= -ROUNDING * _extent(area)))
+    return bool(np.all(area.distances(outside) >= -ROUNDING * longer_side(area.bounds)))
 
 
 def fitted(guess: Any, budget: float, start: Waypoints | None, end: Waypoints | None) -> Waypoints:
@@ -239,7 +239,7 @@ def fitted(guess: Any, budget: float, start: Waypoints | None, end: Waypoints | 
 
 def spread_points(area: Area, number: int) -> Waypoints:
     """About `number` points `[M, 2]` on a square grid in the area, m."""
-    spacing = _extent(area) / 40
+    spacing = longer_side(area.bounds) / 40
     share = len(area.grid(spacing)) / number
     return area.grid(spacing * share**0.5)
 
@@ -325,9 +325,3 @@ def _best(
 def _models(posterior: GaussianProcess, grid: Array, maps: Array, weight: Any) -> Models:
     weights = np.ones(len(grid)) if weight is None else np.asarray(weight(np.asarray(grid)), float)
     return _beliefs(posterior, grid, jnp.asarray(weights, grid.dtype), maps)
-
-
-def _extent(area: Area) -> float:
-    """The longer side of the area's bounds, m."""
-    x_min, y_min, x_max, y_max = area.bounds
-    return max(x_max - x_min, y_max - y_min)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
-from bojax.areas.area import Area
+from bojax.areas.area import Area, longer_side
 from bojax.areas.transfers import Transfers
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.surveys.goals import Goal
@@ -88,8 +88,7 @@ class Search:
             others: Routes of other robots, whose samples count as taken.
             separation: Least distance from them, m, as of `least_distance`.
         """
-        x_min, y_min, x_max, y_max = area.bounds
-        self._size = max(x_max - x_min, y_max - y_min)
+        self._size = longer_side(area.bounds)
         self._area, self._budget, self._start, self._end = area, budget, start, end
         self._ways, self._random = ways, random
         self._points, self._goal = spread_points(area, NUM_SCORED), goal

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from bojax.areas.area import longer_side
 from bojax.areas.place import Place
 from bojax.areas.settings import OutlinedArea
 from bojax.config.yaml_file import dump
@@ -96,7 +97,7 @@ def _write_robot(
             "kind": "monitoring",
             "field": {"kind": "grid", "file": str(folder.resolve() / FIELD), "extent": list(bounds)},
             "domain": list(bounds),
-            "margin": ROUNDING * max(bounds[2] - bounds[0], bounds[3] - bounds[1]),
+            "margin": ROUNDING * longer_side(bounds),
             "area": {
                 "kind": "outline",
                 "file": str(folder.resolve() / AREA),
@@ -150,9 +151,7 @@ def _planners(waypoints: Path, mower: Path, path: float, std: float) -> dict[str
 
 def _checks(bounds: tuple[float, float, float, float], path: float) -> int:
     """Checks between two poses that are as many as the table of distances has cells there."""
-    x_min, y_min, x_max, y_max = bounds
-    cell = max(x_max - x_min, y_max - y_min) / RESOLUTION
-    return max(2, math.ceil(path / PATH_SAMPLES / cell))
+    return max(2, math.ceil(path / PATH_SAMPLES / (longer_side(bounds) / RESOLUTION)))
 
 
 def _geojson(rings: list[np.ndarray]) -> str:
@@ -164,7 +163,7 @@ def _geojson(rings: list[np.ndarray]) -> str:
 def _values(model: FieldModel, bounds: tuple[float, float, float, float]) -> np.ndarray:
     """Values `[rows, columns]` on a grid over the bounds, the first row at the lowest y."""
     x_min, y_min, x_max, y_max = bounds
-    spacing = max(x_max - x_min, y_max - y_min) / CELLS
+    spacing = longer_side(bounds) / CELLS
     x, y = (
         np.linspace(low, high, max(2, round((high - low) / spacing) + 1))
         for low, high in ((x_min, x_max), (y_min, y_max))
