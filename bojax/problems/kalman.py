@@ -23,11 +23,6 @@ class Gaussian(eqx.Module):
     mean: Float[Array, "D"]
     covariance: Float[Array, "D D"]
 
-    @property
-    def entropy(self) -> Float[Array, ""]:
-        """Half the log determinant of the covariance: the entropy up to a constant, in nats."""
-        return 0.5 * jnp.linalg.slogdet(self.covariance)[1]
-
 
 @full_precision
 def update(

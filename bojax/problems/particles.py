@@ -41,14 +41,6 @@ class Particles(eqx.Module):
         offsets = self.states - self.mean[None]
         return matmul((offsets * jnp.exp(self.log_weights)[:, None]).T, offsets)
 
-    @property
-    def entropy(self) -> Float[Array, ""]:
-        """Half the log determinant of the covariance: the entropy of a Gaussian up to a constant, in nats.
-
-        -inf if the states lie in a subspace.
-        """
-        return 0.5 * jnp.linalg.slogdet(self.covariance)[1]
-
     def quantiles(self, num: int) -> Float[Array, "N D"]:
         """`num` states that represent the belief: those at equal distances in the sum of the weights."""
         ends = jnp.cumsum(jnp.exp(self.log_weights))
