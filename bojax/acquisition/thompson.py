@@ -1,5 +1,7 @@
 """Thompson sampling: the next point maximises a draw of the posterior. Not in the thesis."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -47,14 +49,8 @@ class ThompsonSampling(eqx.Module):
         weights = jax.random.normal(key_weights, (self.num_features,), posterior.y.dtype)
         noise = jax.random.normal(key_noise, posterior.y.shape, posterior.y.dtype)
         noise = noise * jnp.sqrt(posterior.noise(posterior.x))
-        return eqx.tree_at(
-            lambda gp: (gp.y, gp.mean),
-            posterior,
-            (
-                posterior.y - jnp.where(posterior.is_held(), noise, 0.0),
-                _Drawn(posterior.mean, features, weights),
-            ),
-        )
+        told = posterior.y - jnp.where(posterior.is_held(), noise, 0.0)
+        return replace(posterior, y=told, mean=_Drawn(posterior.mean, features, weights))
 
 
 class _Drawn(Mean):

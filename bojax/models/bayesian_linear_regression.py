@@ -137,14 +137,8 @@ class BayesianLinearRegression(eqx.Module):
             _times_rows(scale, features), _times_rows(scale, targets), prior_precision
         )
         inverse = solve_triangular(factor, jnp.eye(num_features, dtype=factor.dtype))
-        return cls(
-            mean=matmul(inverse, rotated),
-            base=_symmetric(matmul(inverse, inverse.T)),
-            rows=prior.rows,
-            prior_precision=prior.prior_precision,
-            noise_precision=prior.noise_precision,
-            num_ignored=num_ignored,
-        )
+        mean, base = matmul(inverse, rotated), _symmetric(matmul(inverse, inverse.T))
+        return replace(prior, mean=mean, base=base, num_ignored=num_ignored)
 
     @property
     def covariance(self) -> Float[Array, "M M"]:

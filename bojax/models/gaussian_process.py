@@ -476,15 +476,12 @@ def _all_at_once(
     if noise_variances is not None:
         noise_variances = empty.y.at[:number].set(noise_variances[order])
     count = jnp.sum(is_held, dtype=empty.count.dtype)
-    data = eqx.tree_at(
-        lambda gp: (gp.x, gp.y, gp.count, gp.num_ignored),
+    data = replace(
         empty,
-        (
-            empty.x.at[:number].set(x),
-            empty.y.at[:number].set(y),
-            count,
-            jnp.sum(is_given, dtype=count.dtype) - count,
-        ),
+        x=empty.x.at[:number].set(x),
+        y=empty.y.at[:number].set(y),
+        count=count,
+        num_ignored=jnp.sum(is_given, dtype=count.dtype) - count,
     )
     return data.refitted(empty.kernel, empty.noise_variance, noise_variances)
 
