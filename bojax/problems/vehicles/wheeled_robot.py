@@ -121,17 +121,10 @@ class WheeledRobot(SimulatedVehicle):
         self, route: Route, reading: Float[Array, "3"], passed: Int[Array, ""]
     ) -> tuple[Float[Array, "3"], Int[Array, ""]]:
         """Angles of the front wheels and share of full speed; index of the point of the route just passed."""
+        car = self.parameters
+        of_car = car.wheelbase, car.half_track, 1.0 / car.turning_radius, car.full_speed
         wheelbase, half_track, sharpest, full_speed, look_ahead, speed, gain = (
-            jnp.asarray(number, jnp.float32)
-            for number in (
-                self.parameters.wheelbase,
-                self.parameters.half_track,
-                1.0 / self.turning_radius,
-                self.parameters.full_speed,
-                self.look_ahead,
-                self.speed,
-                self.gain,
-            )
+            jnp.asarray(number, jnp.float32) for number in (*of_car, self.look_ahead, self.speed, self.gain)
         )
         passed = route.nearest(reading[:2], passed, look_ahead)
         here = route.arc[passed]
