@@ -116,10 +116,7 @@ class PathProblem(Problem):
                 "robot completes: set a shorter length, or more time per path"
             )
         radius = self.turning_radius
-        if radius == 0.0:
-            return
-        tightest = tightest_radius(motions)
-        if tightest < radius:
+        if radius > 0.0 and (tightest := tightest_radius(motions)) < radius:
             raise ValueError(
                 f"planner.motions: the tightest trajectory has a radius of {tightest:.2f} m; allowed: >= "
                 f"{radius:.2f} m, the turning radius of the robot: set longer trajectories or smaller angles"
