@@ -130,7 +130,7 @@ class ProblemSettings(Component, frozen=True):
 
 
 # Settings whose defaults differ between problems.
-_MaxSteps = Annotated[int, Field(ge=1, description="number of steps after which an episode ends")]
+MaxSteps = Annotated[int, Field(ge=1, description="number of steps after which an episode ends")]
 _HalfWidth = Annotated[float, Field(gt=0, description="half the side of the square domain, m")]
 _Vehicle = Annotated[
     Component,
@@ -143,9 +143,8 @@ _Walls = Annotated[
     tuple[Box, ...] | None,
     Field(strict=False, min_length=1, description="walls, a list of [x_min, y_min, x_max, y_max], m"),
 ]
-_Pose = Annotated[tuple[float, float, float], Field(strict=False)]
 _Start = Annotated[
-    _Pose | None,
+    Annotated[tuple[float, float, float], Field(strict=False)] | None,
     Field(description="initial pose, [x, y, heading], m and rad; null: random in the free space"),
 ]
 _TargetArea = Annotated[
@@ -174,7 +173,7 @@ class ParkingSettings(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
     half_width: _HalfWidth = 4.0
-    max_steps: _MaxSteps = 15
+    max_steps: MaxSteps = 15
     distance_tolerance: float = Field(default=0.1, gt=0, description="largest distance of a parked robot, m")
     heading_tolerance: float = Field(
         default=pi / 10, gt=0, description="largest |sin alpha| when parked; either direction, as in (4.13)"
@@ -279,7 +278,7 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="point at which an episode with a budget ends, [x, y], m. Paths stop at the last pose "
         "from which it can be reached; then the robot drives the shortest way there, and measures on it",
     )
-    max_steps: _MaxSteps = 25
+    max_steps: MaxSteps = 25
     resolution: _Resolution = 31
     errors_by_step: bool = Field(
         default=False,
@@ -441,7 +440,7 @@ class Diagonal(_Gradients, frozen=True):
     kind: Literal["diagonal"] = "diagonal"
     field: _TrueField = Step(point=(3.0, 3.0), direction=pi / 4, height=1.0, width=0.6)
     start: _Start = (1.0, 1.0, 0.0)
-    max_steps: _MaxSteps = 35
+    max_steps: MaxSteps = 35
 
 
 class TwoPits(_Gradients, frozen=True):
@@ -449,7 +448,7 @@ class TwoPits(_Gradients, frozen=True):
 
     kind: Literal["two-pits"] = "two-pits"
     field: _TrueField = Bumps(heights=(-0.8, -1.0), centres=((1.5, 4.5), (4.5, 1.5)), widths=(0.8, 0.4))
-    max_steps: _MaxSteps = 50
+    max_steps: MaxSteps = 50
 
 
 class SpaceModelling(FieldProblem, frozen=True):
@@ -516,6 +515,6 @@ class IndoorProps(_Heights, frozen=True):
         Field(description="prior covariance of the final map of the flight's samples; null for `kernel`"),
     ] = None
     noise_variance: _NoiseVariance = 0.0025
-    max_steps: _MaxSteps = 15
+    max_steps: MaxSteps = 15
     resolution: _Resolution = 61
     weighting: _Weighting = "value"

@@ -7,8 +7,9 @@ from pydantic import Field
 from typing_extensions import override
 
 from bojax.config.component import Component, Slot
+from bojax.fields.settings import Pair
 from bojax.motions.settings import ContinuousMotions, CubicCurves
-from bojax.problems.settings import Parking, ParkingSettings, ProblemSettings
+from bojax.problems.settings import MaxSteps, Parking, ParkingSettings, ProblemSettings
 from bojax.results.outline import Outline
 
 
@@ -26,11 +27,9 @@ class StateProblemSettings(ProblemSettings, frozen=True):
 
 
 _Discount = Annotated[float, Field(gt=0, le=1, description="discount of the reward per step")]
-_MaxSteps = Annotated[int, Field(ge=1, description="number of steps after which an episode ends")]
 _Noise = Annotated[float, Field(gt=0)]
 _Noises = Annotated[tuple[_Noise, _Noise, _Noise], Field(strict=False)]
-_Pair = Annotated[tuple[float, float], Field(strict=False)]
-_Matrix = Annotated[tuple[_Pair, _Pair], Field(strict=False)]
+_Matrix = Annotated[tuple[Pair, Pair], Field(strict=False)]
 _EYE = ((1.0, 0.0), (0.0, 1.0))
 
 
@@ -56,7 +55,7 @@ class VdpTag(StateProblemSettings, frozen=True):
     empty_reading: float = Field(default=1.0, description="mean reading of a beam without the target")
     num_beams: int = Field(default=8, ge=1, description="number of beams")
     discount: _Discount = 0.95
-    max_steps: _MaxSteps = 100
+    max_steps: MaxSteps = 100
 
 
 class LightDark(StateProblemSettings, frozen=True):
@@ -82,7 +81,7 @@ class LightDark(StateProblemSettings, frozen=True):
     wrong_stop_reward: float = Field(default=-100.0, description="reward of stopping elsewhere")
     step_reward: float = Field(default=-1.0, description="reward of a move")
     discount: _Discount = 0.95
-    max_steps: _MaxSteps = 100
+    max_steps: MaxSteps = 100
 
 
 class SubHunt(StateProblemSettings, frozen=True):
@@ -110,7 +109,7 @@ class SubHunt(StateProblemSettings, frozen=True):
     empty_noise: _Noise = Field(default=5.0, description="standard deviation of an empty reading")
     num_beams: int = Field(default=8, ge=1, description="number of beams")
     discount: _Discount = 0.99
-    max_steps: _MaxSteps = 100
+    max_steps: MaxSteps = 100
 
 
 class PomdpLander(StateProblemSettings, frozen=True):
@@ -167,7 +166,7 @@ class PomdpLander(StateProblemSettings, frozen=True):
         description="filter: the bootstrap filter, or, as published, an extended Kalman filter",
     )
     discount: _Discount = 0.99
-    max_steps: _MaxSteps = 200
+    max_steps: MaxSteps = 200
 
 
 class LightDarkNd(StateProblemSettings, frozen=True):
@@ -194,7 +193,7 @@ class LightDarkNd(StateProblemSettings, frozen=True):
     goal_reward: float = Field(default=10.0, description="reward at the goal")
     ring_reward: float = Field(default=-2.0, description="reward on a ring about the goal")
     discount: _Discount = 0.99
-    max_steps: _MaxSteps = 8
+    max_steps: MaxSteps = 8
 
 
 class PomdpMountainCar(StateProblemSettings, frozen=True):
@@ -210,7 +209,7 @@ class PomdpMountainCar(StateProblemSettings, frozen=True):
     )
     sensor_noise: _Noise = Field(default=0.1, description="standard deviation of a measured position")
     discount: _Discount = 0.99
-    max_steps: _MaxSteps = 500
+    max_steps: MaxSteps = 500
 
 
 class Hallway(StateProblemSettings, frozen=True):
@@ -232,7 +231,7 @@ class Hallway(StateProblemSettings, frozen=True):
     move_noise: float = Field(default=0.1, ge=0, description="standard deviation added to a move, m")
     accuracy: float = Field(default=0.9, gt=0, lt=1, description="probability that a sensor is right")
     discount: _Discount = 0.95
-    max_steps: _MaxSteps = 50
+    max_steps: MaxSteps = 50
 
 
 class Tiger(StateProblemSettings, frozen=True):
@@ -245,7 +244,7 @@ class Tiger(StateProblemSettings, frozen=True):
     treasure_reward: float = Field(default=10.0, description="reward of opening the other door")
     accuracy: float = Field(default=0.85, ge=0, le=1, description="probability of hearing the right side")
     discount: _Discount = 0.95
-    max_steps: _MaxSteps = 100
+    max_steps: MaxSteps = 100
 
 
 class Lqg(StateProblemSettings, frozen=True):
@@ -260,11 +259,11 @@ class Lqg(StateProblemSettings, frozen=True):
     action_cost: _Matrix = Field(default=_EYE, description="matrix of the cost of an action")
     process_noise: float = Field(default=0.1, ge=0, description="standard deviation added to the state")
     sensor_noise: _Noise = Field(default=0.1, description="standard deviation of an observation")
-    initial_mean: _Pair = Field(default=(-10.0, 10.0), description="mean of the initial state")
+    initial_mean: Pair = Field(default=(-10.0, 10.0), description="mean of the initial state")
     initial_noise: _Noise = Field(default=0.1, description="standard deviation of the initial state")
     action_bound: float = Field(default=10.0, gt=0, description="greatest component of an action")
     discount: _Discount = 1.0
-    max_steps: _MaxSteps = 2
+    max_steps: MaxSteps = 2
 
 
 class UncertainPose(StateProblemSettings, frozen=True):
