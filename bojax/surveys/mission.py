@@ -50,11 +50,7 @@ class _Leg:
     entry: Waypoints  # its position, or the first point inside the area
     left: float  # distance left at the entry, m
     to_end: Waypoints  # the shortest way from there to the end
-
-    @property
-    def is_outside(self) -> bool:
-        """Whether the robot has to come into the area first."""
-        return bool(np.any(self.entry != self.robot.position))
+    has_time: bool  # whether the budget allows more than the way to the end
 
 
 class Mission:
@@ -220,8 +216,8 @@ class Mission:
             ValueError: No routes are found that stay in the area and keep the separation.
         """
         legs = [self._leg(robot) for robot in self.robots]
-        going = [leg for leg in legs if self._has_time(leg)]
-        returning = [leg.to_end for leg in legs if not self._has_time(leg) and length_of(leg.to_end) > 0.0]
+        going = [leg for leg in legs if leg.has_time]
+        returning = [leg.to_end for leg in legs if not leg.has_time and length_of(leg.to_end) > 0.0]
         if going:
             self._plans += 1
             plan = self._searched if self.goal.needs_values else self._descended
@@ -235,22 +231,21 @@ class Mission:
     def _leg(self, robot: Robot) -> _Leg:
         entry = self._entry(robot.position)
         left = robot.remaining - float(np.linalg.norm(entry - robot.position))
-        return _Leg(robot, entry, left, self._way(entry, robot.end))
-
-    def _has_time(self, leg: _Leg) -> bool:
-        """Whether the budget allows more than the way to the end."""
-        return leg.left > max(self.spacing, length_of(leg.to_end) * (1.0 + ROUNDING))
+        to_end = self._way(entry, robot.end)
+        has_time = left > max(self.spacing, length_of(to_end) * (1.0 + ROUNDING))
+        return _Leg(robot, entry, left, to_end, has_time)
 
     def _waypoints(self, leg: _Leg) -> Waypoints:
         """The plan of a robot without its position."""
-        if self._has_time(leg):
+        if leg.has_time:
             assert leg.robot.route is not None
             route = leg.robot.route.waypoints
         elif leg.robot.end is None:
             return NOTHING
         else:
             route = leg.to_end
-        return route if leg.is_outside else route[1:]
+        is_outside = np.any(leg.entry != leg.robot.position)  # the robot comes into the area first
+        return route if is_outside else route[1:]
 
     def _way(self, entry: Waypoints, end: Waypoints | None) -> Waypoints:
         """The shortest way in the area to an end; of no length without one.
@@ -444,8 +439,7 @@ class Mission:
 
     def _is_near(self, points: Waypoints) -> np.ndarray:
         """Whether points are finite and within `FAR` sizes of the bounds."""
-        x_min, y_min, x_max, y_max = self.area.bounds
-        low, high = np.array([x_min, y_min]), np.array([x_max, y_max])
+        low, high = np.array(self.area.bounds).reshape(2, 2)
         beyond = np.maximum(low - points, points - high)
         return np.all(beyond <= FAR * self._size, axis=-1)  # False for NaN
 
