@@ -288,7 +288,8 @@ class GaussianProcess(eqx.Module):
         """
         # Place `count` of the product is 0, as rows and columns past `count` are: the mask puts 1 there.
         row = -matmul(whitened, self.inverse_cholesky)
-        return jnp.where(self._is_next(), 1.0, row) / self._next_pivot(x, whitened, noise_variance)
+        is_next = jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count
+        return jnp.where(is_next, 1.0, row) / self._next_pivot(x, whitened, noise_variance)
 
     def next_whitened(
         self,
@@ -452,9 +453,6 @@ class GaussianProcess(eqx.Module):
     def is_held(self) -> Bool[Array, "N"]:
         """Whether each row holds an observation."""
         return jnp.arange(self.y.shape[0], dtype=self.count.dtype) < self.count
-
-    def _is_next(self) -> Bool[Array, "N"]:
-        return jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count
 
 
 @compiled_if_known
