@@ -271,7 +271,7 @@ def compiled_if_known(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def cast(module: PyTree, dtype: str) -> PyTree:
+def cast(module: PyTree, dtype: Any) -> PyTree:
     """A module with its floating-point arrays converted to `dtype`."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf, module)
 

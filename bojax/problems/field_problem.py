@@ -1,6 +1,6 @@
 """Field monitoring (Chapter 3 and Section 4.7.1): learn a field from noisy samples along trajectories."""
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bojax.areas.outlined import OutlinedArea, check_sampling
 from bojax.fields.base import Field
-from bojax.models.checks import check_takes, is_known
+from bojax.models.checks import cast, check_takes, is_known
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.information import Places
@@ -230,14 +230,9 @@ class FieldProblem(PathProblem):
             collision_reward=self.collision_reward,
             exit_reward=self.exit_reward,
             after_collision=self.after_collision,
-            ways=self._in_precision(straight if self.ways is None else self.ways),
-            area=self._in_precision(self.area),
+            ways=cast(straight if self.ways is None else self.ways, self.domain.dtype),
+            area=cast(self.area, self.domain.dtype),
         )
-
-    def _in_precision(self, tree: Any) -> Any:
-        """A tree with its numbers in the precision of the domain."""
-        dtype = self.domain.dtype
-        return jax.tree.map(lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree)
 
     @override
     def reset(self, key: Key[Array, ""]) -> FieldWorld:
