@@ -128,11 +128,7 @@ class Measurements:
         self._held = set(map(tuple, np.column_stack([x, y]).tolist()))
 
     def relearn(self, seed: int, shortest: float, longest: float) -> None:
-        """Standardise the values, and learn the hyper-parameters from them by their evidence.
-
-        Each has a log-normal prior about its first value, and the lengthscale stays between the shortest and
-        the longest, m. With fewer than `LEAST_DATA` measurements, nothing changes.
-        """
+        """See `Mission.relearn`; the lengthscale stays between the shortest and the longest, m."""
         if len(self) < LEAST_DATA:
             return
         self.learned_at = len(self)
@@ -152,10 +148,7 @@ class Measurements:
         return (values - self.shift) / self.scale
 
     def belief(self, most: int) -> GaussianProcess:
-        """The belief about the standardised values, exact up to `most` measurements.
-
-        It has room for a power of two of them or, beyond `most`, is a `sparse_posterior`.
-        """
+        """The belief about the standardised values, see `belief_from`."""
         return belief_from(self.hyperparameters, self.x, self.standardised(self.y), most, self.expected)
 
     def some(self, seed: int) -> GaussianProcess:
@@ -169,10 +162,7 @@ class Measurements:
         )
 
     def predict(self, points: Waypoints, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of the field at points `[M, 2]`, in the units of the values.
-
-        Up to `most` measurements they are exact; of more, the belief is summarised at as many points.
-        """
+        """Mean and standard deviation of the field at points `[M, 2]` in its units, see `belief`."""
         with jax.enable_x64(True):
             mean, variance = predict(self.belief(most), points)
             deviation = np.sqrt(np.asarray(variance))
