@@ -31,7 +31,6 @@ class ThompsonSampling(eqx.Module):
     num_features: int = eqx.field(static=True, default=1024)  # number of features, even
 
     def __check_init__(self):
-        """Check the number of features, or raise ValueError."""
         check_count("num_features", self.num_features, 2)
         if self.num_features % 2:
             raise ValueError(f"num_features: got {self.num_features}; allowed: even, >= 2")

@@ -16,7 +16,6 @@ class Triangles:
     """
 
     def __init__(self, shape: BaseGeometry):
-        """Divide a shape."""
         triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
         self._tree = shapely.STRtree(triangles)
         points = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]

@@ -31,7 +31,6 @@ class Field(eqx.Module):
 
 
 def _check_value(field: Field) -> None:
-    """Check the value at a point."""
     value = field(jnp.zeros(2))
     if jnp.shape(value) != ():
         raise Misfit(f"the value at a point has shape {jnp.shape(value)}; allowed: one number")

@@ -135,7 +135,6 @@ class FourierBasis(Features):
     num_dims: int = eqx.field(static=True)
 
     def __check_init__(self):
-        """Refuse sizes that give no features."""
         _refuse_below(0, "order", self.order)
         _refuse_below(1, "num_dims", self.num_dims)
 
@@ -167,7 +166,6 @@ class Polynomial(Features):
     has_bias: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
-        """Refuse sizes that give no features."""
         _refuse_below(0 if self.has_bias else 1, "degree", self.degree)
         _refuse_below(1, "num_dims", self.num_dims)
 
@@ -205,7 +203,6 @@ class RadialBasis(Features):
     has_bias: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        """Refuse centres that give no features."""
         if not self.num_features:
             raise ValueError("centres: got 0; allowed: >= 1, or a bias")
 

@@ -176,7 +176,6 @@ class Warped(Kernel):
     high: tuple[float, ...] = eqx.field(static=True, converter=_floats)
 
     def __check_init__(self):
-        """Check the box."""
         if len(self.low) != len(self.high) or not np.all(np.less(self.low, self.high)):
             got = f"{list(self.low)} and {list(self.high)}"
             raise ValueError(f"low, high: got {got}; allowed: corners of a box, low < high in each dimension")

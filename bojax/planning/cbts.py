@@ -113,7 +113,6 @@ class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
     measures_shortfall: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        """Compare the kernel with the trajectories' parameters, or raise ValueError."""
         num_params, dtype = self.motions.num_params, self.motions.length.dtype
         check_takes("kernel", self.kernel, 2, num_params, dtype, "the parameters of the motions")
 

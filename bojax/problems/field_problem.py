@@ -113,7 +113,6 @@ class FieldProblem(PathProblem):
     errors_by_step: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __post_init__(self):
-        """Compute the ways to the end point, if obstacles are in the way and it is known."""
         has_obstacles = self.walls is not None or self.area is not None
         if self.end is not None and has_obstacles and self.ways is None:
             self.ways = ways_around(self.end, self.domain, self.walls, self.area)

@@ -115,7 +115,6 @@ class HeightMapping(FieldProblem):
 
     @override
     def __check_init__(self):
-        """Check that a flying robot flies above the ground, or raise ValueError."""
         _check_altitude(self)
 
     @override

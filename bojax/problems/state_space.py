@@ -82,7 +82,6 @@ class StateProblem(StateModel, Problem):
 
     @override
     def __check_init__(self):
-        """Check the number of particles, or raise ValueError."""
         if self.num_particles < 1:
             raise ValueError(f"num_particles: got {self.num_particles}; allowed: >= 1")
 

@@ -180,7 +180,6 @@ class TurnsTooTight(ValueError):
     """No lawnmower can be driven with the turning radius."""
 
     def __init__(self, radius: float):
-        """Name the radius, m, and what would help."""
         super().__init__(
             f"turning radius: got {radius:g} m, with which no lawnmower stays in the area; allowed: a "
             f"smaller one, or lines at least {2 * radius:g} m apart"

@@ -84,7 +84,6 @@ class Measurements:
     """
 
     def __init__(self, hyperparameters: tuple[float, float, float], expected: int = 0):
-        """Begin without a measurement."""
         self.x, self.y = np.zeros((0, 2)), np.zeros(0)
         self.hyperparameters = self.medians = hyperparameters
         self.shift, self.scale = 0.0, 1.0
@@ -92,7 +91,6 @@ class Measurements:
         self._held: set[tuple[float, ...]] = set()  # rows of x and y together, to find duplicates
 
     def __len__(self) -> int:
-        """Number of measurements."""
         return len(self.y)
 
     def take(self, points: Waypoints, values: np.ndarray, is_far: np.ndarray, counts: Counter[str]) -> int:

@@ -45,7 +45,6 @@ class LightDark(ReadingProblem):
     action_values: Float[Array, "S A"] | None = None
 
     def __post_init__(self) -> None:
-        """Solve the problem with states observed."""
         if self.action_values is None:
             self.action_values = self._solved()
 

@@ -53,7 +53,6 @@ class SubHunt(ReadingProblem):
     action_values: Float[Array, "X Y X Y 4 2 6"] | None = None
 
     def __post_init__(self) -> None:
-        """Solve the problem with states observed."""
         if self.action_values is None:
             found = solve(self._rules()).reshape(*(self.size,) * 4, 4, 2, 6)
             self.action_values = jnp.asarray(found, self.discount.dtype)

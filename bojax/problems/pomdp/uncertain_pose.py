@@ -38,12 +38,10 @@ class UncertainPose(StateProblem):
     max_steps: int = eqx.field(static=True, init=False)
 
     def __post_init__(self) -> None:
-        """Take the time limit of the pose problem."""
         self.max_steps = self.problem.max_steps
 
     @override
     def __check_init__(self):
-        """Check the pose problem, or raise ValueError."""
         super().__check_init__()
         name = type(self.problem).__name__
         if not isinstance(self.problem, PoseProblem):

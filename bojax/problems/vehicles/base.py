@@ -104,7 +104,6 @@ class Exact(Vehicle):
 
     @override
     def estimate(self, state: Pose) -> Pose:
-        """The true pose."""
         return state
 
     @override

@@ -59,7 +59,6 @@ class Quadrotor(SimulatedVehicle):
 
     @override
     def reset(self, pose: Pose) -> SimulatedState:
-        """The quadrotor hovering at a pose."""
         return self.at_rest(pose, self.altitude)
 
     @override

@@ -36,7 +36,6 @@ class SimulatedVehicle(Simulated, Vehicle):
 
     @override
     def estimate(self, state: SimulatedState) -> Pose:
-        """The last measurement."""
         return state.reading
 
     @override
