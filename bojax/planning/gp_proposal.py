@@ -17,7 +17,7 @@ from bojax.acquisition.maximise import first_maximum
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.planning.proposals import Proposal, Target
-from bojax.planning.tree import ROOT, Tree, row
+from bojax.planning.tree import ROOT, Totals, Tree, row
 from bojax.problems.actions import ActionSpace
 
 PRIOR_DEGREES = 2.0
@@ -77,12 +77,7 @@ class GaussianProcessProposal(Proposal):
 
     @override
     def __call__(
-        self,
-        key: Key[Array, ""],
-        space: ActionSpace,
-        tree: Tree,
-        node: Int[Array, ""],
-        totals: Float[Array, "A T"],
+        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
     ) -> Float[Array, "P"]:
         candidates = jax.vmap(space.sample)(jax.random.split(key, self.num_candidates))
         process = self.process(space, tree, node, totals)
@@ -92,7 +87,7 @@ class GaussianProcessProposal(Proposal):
         return candidates[jnp.where(process.count < self.num_initial, 0, best)]
 
     def process(
-        self, space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Float[Array, "A T"]
+        self, space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
     ) -> GaussianProcess:
         """The process of a node, from points (coordinates and level) to standardised means."""
         parameters = tree.parameters_of(row(tree.children, node))
@@ -119,7 +114,7 @@ class GaussianProcessProposal(Proposal):
         )
 
 
-def _pooled(totals: Float[Array, "A T"], otherwise: Float[Array, ""]) -> Float[Array, ""]:
+def _pooled(totals: Totals, otherwise: Float[Array, ""]) -> Float[Array, ""]:
     """The variance of the target within actions, if there are enough samples."""
     degrees = jnp.sum(jnp.maximum(totals[:, 0] - 1.0, 0.0))
     return jnp.where(degrees < LEAST_DEGREES, otherwise, jnp.sum(totals[:, 3]) / jnp.maximum(degrees, 1.0))

@@ -22,6 +22,10 @@ Belief = Any
 """What a planner stores for a belief node: a tree of arrays."""
 
 
+Totals = Float[Array, "A T"]
+"""`Tree.totals` of the actions of a node."""
+
+
 class Tree(eqx.Module):
     """N belief nodes with at most A actions each, and N action nodes with at most B branches each."""
 

@@ -14,6 +14,7 @@ from bojax.numerics.linalg import matmul
 
 Values: TypeAlias = Float[Array, "S"]
 Gradients: TypeAlias = Float[Array, "S 2"]
+Points: TypeAlias = Float[Array, "S 2"]
 
 
 class FieldObjective(eqx.Module):
@@ -40,11 +41,7 @@ class JointObjective(FieldObjective):
 
     @abc.abstractmethod
     def of_samples(
-        self,
-        posterior: GaussianProcess,
-        places: Places | None,
-        points: Float[Array, "S 2"],
-        is_taken: Bool[Array, "S"],
+        self, posterior: GaussianProcess, places: Places | None, points: Points, is_taken: Bool[Array, "S"]
     ) -> Values:
         """Reward of each sample in the order in which they are taken, under a belief before all of them.
 
@@ -123,11 +120,7 @@ class InformationObjective(JointObjective):
 
     @override
     def of_samples(
-        self,
-        posterior: GaussianProcess,
-        places: Places | None,
-        points: Float[Array, "S 2"],
-        is_taken: Bool[Array, "S"],
+        self, posterior: GaussianProcess, places: Places | None, points: Points, is_taken: Bool[Array, "S"]
     ) -> Values:
         assert places is not None
         return matmul(explained_variance(posterior, places, points, is_taken), places.weights)
@@ -145,10 +138,6 @@ class EntropyObjective(JointObjective):
 
     @override
     def of_samples(
-        self,
-        posterior: GaussianProcess,
-        places: Places | None,
-        points: Float[Array, "S 2"],
-        is_taken: Bool[Array, "S"],
+        self, posterior: GaussianProcess, places: Places | None, points: Points, is_taken: Bool[Array, "S"]
     ) -> Values:
         return entropy_taken(posterior, points, is_taken)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Scalar
 
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.numerics.linalg import matmul
-from bojax.surveys.information import PointErrors, path_length, points_at, samples_of_all
+from bojax.surveys.information import Number, PointErrors, path_length, points_at, samples_of_all
 
 SAVED = 0.9
 """Share of the length saved by arcs that may be spent; the rest allows for later changes of the turns."""
@@ -89,18 +89,14 @@ class Models(eqx.Module):
         index: Int[Array, ""] | int,
         samples: Float[Array, "S 2"],
         is_taken: Bool[Array, "S"],
-        samples_per_point: Float[Array, ""] | float,
+        samples_per_point: Number,
     ) -> Scalar:
         """Expected root mean squared error after the samples, under one of the beliefs."""
         errors = jax.tree.map(lambda leaf: leaf[index], self.errors)
         return errors.after(matmul(samples, self.maps[index].T), is_taken, samples_per_point)
 
     def mean_error(
-        self,
-        routes: Float[Array, "K W 2"],
-        spacing: Float[Array, ""] | float,
-        number: int,
-        samples_per_point: Float[Array, ""] | float = 1.0,
+        self, routes: Float[Array, "K W 2"], spacing: Number, number: int, samples_per_point: Number = 1.0
     ) -> Scalar:
         """Expected root mean squared error after the routes of all robots, averaged over the beliefs."""
         sampled = samples_of_all(routes, spacing, number)
@@ -182,7 +178,7 @@ def descend(
     limits: Limits,
     spacing: Float[Array, ""],
     number: int,
-    samples_per_point: Float[Array, ""] | float,
+    samples_per_point: Number,
     num_steps: int,
     rate: Float[Array, ""],
 ) -> Float[Array, "R K W 2"]:

@@ -13,6 +13,8 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.information import Places, explained_variance
 from bojax.numerics.linalg import matmul
 
+Number = Float[Array, ""] | float
+
 LEAST_VARIANCE = 1e-12
 """Share of the variance below which a posterior variance has no gradient, as its root has an infinite one."""
 
@@ -39,7 +41,7 @@ def points_at(waypoints: Float[Array, "W 2"], distances: Float[Array, "S"]) -> F
 
 
 def samples_along(
-    waypoints: Float[Array, "W 2"], spacing: Float[Array, ""] | float, number: int
+    waypoints: Float[Array, "W 2"], spacing: Number, number: int
 ) -> tuple[Float[Array, "S 2"], Bool[Array, "S"]]:
     """Samples at every `spacing` metres of a polyline, and whether each lies on it.
 
@@ -53,7 +55,7 @@ def samples_along(
 
 
 def samples_of_all(
-    routes: Float[Array, "K W 2"], spacing: Float[Array, ""] | float, number: int
+    routes: Float[Array, "K W 2"], spacing: Number, number: int
 ) -> tuple[Float[Array, "S 2"], Bool[Array, "S"]]:
     """Samples at every `spacing` metres of all routes; those at equal distances are neighbours."""
     samples, is_taken = jax.vmap(lambda route: samples_along(route, spacing, number))(routes)
@@ -71,10 +73,7 @@ class PointErrors(eqx.Module):
 
     @classmethod
     def of(
-        cls,
-        posterior: GaussianProcess,
-        grid: Float[Array, "M 2"],
-        weights: Float[Array, "M"] | None = None,
+        cls, posterior: GaussianProcess, grid: Float[Array, "M 2"], weights: Float[Array, "M"] | None = None
     ) -> "PointErrors":
         """The belief at `grid`, where all points count alike unless weights are given."""
         weights = jnp.ones(grid.shape[0], grid.dtype) if weights is None else weights
@@ -83,10 +82,7 @@ class PointErrors(eqx.Module):
         return cls(posterior, grid, weights / jnp.sum(weights), whitened, variance)
 
     def explained(
-        self,
-        samples: Float[Array, "S 2"],
-        is_taken: Bool[Array, "S"],
-        samples_per_point: Float[Array, ""] | float = 1.0,
+        self, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: Number = 1.0
     ) -> Float[Array, "S M"]:
         """Reduction of the variance at each grid point by each sample, see `explained_variance`."""
         places = Places(self.grid, self.weights, self.whitened)
@@ -98,10 +94,7 @@ class PointErrors(eqx.Module):
         return matmul(jnp.sqrt(jnp.maximum(variance, least)), self.weights)
 
     def after(
-        self,
-        samples: Float[Array, "S 2"],
-        is_taken: Bool[Array, "S"],
-        samples_per_point: Float[Array, ""] | float = 1.0,
+        self, samples: Float[Array, "S 2"], is_taken: Bool[Array, "S"], samples_per_point: Number = 1.0
     ) -> Scalar:
         """Root of the mean posterior variance after all samples; differentiable in their positions.
 
@@ -117,7 +110,7 @@ def left_by(
     errors: PointErrors,
     samples: Float[Array, "S 2"],
     is_taken: Bool[Array, "S"],
-    samples_per_point: Float[Array, ""] | float = 1.0,
+    samples_per_point: Number = 1.0,
 ) -> tuple[Float[Array, "T"], Float[Array, "M"]]:
     """Mean deviation that each number of samples leaves, 0 first, and the variances that all leave."""
     explained = jnp.cumsum(errors.explained(samples, is_taken, samples_per_point), axis=0)
