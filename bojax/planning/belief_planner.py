@@ -18,11 +18,12 @@ from bojax.planning.belief_search import BeliefTreeSearch
 from bojax.planning.leaf_values import LeafValue, ParticleSet, Policy
 from bojax.planning.oracles import policy_named
 from bojax.planning.root_parallel import recommended_by_all
-from bojax.planning.tree import Tree
+from bojax.planning.tree import Index, Tree
 from bojax.problems.actions import Discrete
 from bojax.problems.base import Problem
 from bojax.problems.particles import Particles
 from bojax.problems.state_checks import check_model
+from bojax.problems.state_model import Action, State
 from bojax.problems.state_space import StateProblem
 
 
@@ -90,7 +91,7 @@ def _check_action(name: str, planner: BeliefPlanner, problem: Problem) -> None:
 
 def _acted(
     planner: BeliefPlanner, problem: StateProblem, key: Key[Array, ""]
-) -> tuple[Float[Array, "K"], Bool[Array, ""]]:
+) -> tuple[Action, Bool[Array, ""]]:
     action = _first_plan(planner, problem, key).action
     return action, problem.actions.contains(action)
 
@@ -158,7 +159,7 @@ class BeliefSearch(BeliefTreeSearch, BeliefPlanner):
 
     @abc.abstractmethod
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> ParticleSet:
+    def leaf_at(self, tree: Tree, state: State, node: Index) -> ParticleSet:
         """States to estimate a leaf value from at `node`, where the horizon is reached."""
 
     @override

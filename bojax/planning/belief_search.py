@@ -18,10 +18,10 @@ from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.lanes import any_lane, in_own_kernel, largest_in_lanes, write_row
 from bojax.numerics.simulation_keys import random_index, simulation_key, takes_simulation_keys
 from bojax.planning.proposals import Proposal
-from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Tree, row, upper_bound
+from bojax.planning.tree import ROOT, UNVISITED, Belief, Growth, Index, Tree, row, upper_bound
 from bojax.planning.widening import Widening
 from bojax.problems.actions import Discrete
-from bojax.problems.state_model import StateModel
+from bojax.problems.state_model import Action, State, StateModel
 
 RECOMMENDATIONS = "value", "visits"
 """Rules by which a search recommends an action: the highest value, or the most visits."""
@@ -37,8 +37,8 @@ Draw = Callable[
     [
         Key[Array, ""],
         Tree,
-        Float[Array, "D"],
-        Float[Array, "K"],
+        State,
+        Action,
         Int[Array, "B"],
         Bool[Array, ""],
     ],
@@ -114,11 +114,11 @@ class BeliefTreeSearch(eqx.Module):
         key: Key[Array, ""],
         problem: Model,
         tree: Tree,
-        state: Float[Array, "D"],
-        action: Float[Array, "K"],
-        branch: Int[Array, ""],
+        state: State,
+        action: Action,
+        branch: Index,
         is_followed: Bool[Array, ""],
-    ) -> tuple[Belief, Float[Array, "D"], Float[Array, ""], Bool[Array, ""]]:
+    ) -> tuple[Belief, State, Float[Array, ""], Bool[Array, ""]]:
         """Pass along an existing branch, to the belief node `branch`, with the state of the simulation.
 
         Returns the beliefs of the tree, unchanged unless `is_followed`, the next state, the reward, and
@@ -130,18 +130,12 @@ class BeliefTreeSearch(eqx.Module):
 
     @abc.abstractmethod
     def expand(
-        self,
-        key: Key[Array, ""],
-        problem: Model,
-        tree: Tree,
-        state: Float[Array, "D"],
-        node: Int[Array, ""],
-        action: Float[Array, "K"],
+        self, key: Key[Array, ""], problem: Model, tree: Tree, state: State, node: Index, action: Action
     ) -> Expansion:
         """A new branch of an action at the belief node `node`."""
 
     @abc.abstractmethod
-    def leaf_at(self, tree: Tree, state: Float[Array, "D"], node: Int[Array, ""]) -> Leaf:
+    def leaf_at(self, tree: Tree, state: State, node: Index) -> Leaf:
         """What a value is estimated from at `node`, as in `Expansion`, where the horizon is reached."""
 
     @abc.abstractmethod
@@ -191,7 +185,7 @@ class BeliefTreeSearch(eqx.Module):
         first: Num[Array, "P"] | None,
         tree: Tree,
         key: Key[Array, ""],
-        state: Float[Array, "D"],
+        state: State,
         i: Int[Array, ""],
     ) -> Tree:
         key_descent, key_proposal, key_expansion, key_leaf = jax.random.split(key, 4)
@@ -231,13 +225,7 @@ class BeliefTreeSearch(eqx.Module):
         return tree.grown(growth)
 
     def _descend(
-        self,
-        problem: Model,
-        rules: "_Rules",
-        tree: Tree,
-        key: Key[Array, ""],
-        state: Float[Array, "D"],
-        new: Int[Array, ""],
+        self, problem: Model, rules: "_Rules", tree: Tree, key: Key[Array, ""], state: State, new: Index
     ) -> tuple[Tree, "_Descent"]:
         """Descend from the root until an action or a branch is added, or the simulation ends.
 

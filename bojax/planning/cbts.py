@@ -22,7 +22,7 @@ from bojax.numerics.pallas import either
 from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning import cbts_kernel
 from bojax.planning.search import PlanDraws, Proposal, TreeSearch
-from bojax.planning.tree import ROOT, UNVISITED, Tree, best_by_uct
+from bojax.planning.tree import ROOT, UNVISITED, Index, Tree, best_by_uct
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import PathProblem
 from bojax.results.schema import Column, Table
@@ -163,7 +163,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
         return memory, draws
 
     @override
-    def view(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
+    def view(self, tree: Tree, memory: NodeModels, node: Index) -> Index:
         """The child to descend to."""
         children = tree.children[node]
         exists = children != UNVISITED
@@ -173,7 +173,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
 
     @override
     def propose(
-        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], view: Int[Array, ""], draws: PlanDraws
+        self, tree: Tree, memory: NodeModels, node: Index, view: Int[Array, ""], draws: PlanDraws
     ) -> Proposal:
         # Line 3 of Algorithm 3: the candidate of highest acquisition (4.2). The candidates are the same at
         # all nodes, so that their whitened covariances grow by a row an action: A C products, where whitening
@@ -205,11 +205,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
 
     @override
     def learn(
-        self,
-        memory: NodeModels,
-        child: Int[Array, ""],
-        proposal: Proposal,
-        is_new: Bool[Array, ""],
+        self, memory: NodeModels, child: Index, proposal: Proposal, is_new: Bool[Array, ""]
     ) -> NodeModels:
         action: NewAction = proposal.update
         row = jnp.concatenate([action.params, action.row])
@@ -220,9 +216,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
             has_converged=write_row(memory.has_converged, child, action.has_converged),
         )
 
-    def _model(
-        self, tree: Tree, known: NodeAction, node: Int[Array, ""]
-    ) -> tuple[GaussianProcess, Float[Array, ""]]:
+    def _model(self, tree: Tree, known: NodeAction, node: Index) -> tuple[GaussianProcess, Float[Array, ""]]:
         """The Gaussian process of a node with these actions, and the best value observed."""
         # Assembled anew from the rows of the children. Rewards are scaled by all of the node's rewards, so
         # that every new one changes the others: only rows of the factor, which are free of values, can be
@@ -296,7 +290,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[ContinuousMotions]):
         return jax.vmap(simulate)(memory.paths).rewards[:, 0]
 
     @override
-    def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:
+    def path_of(self, memory: NodeModels, child: Index) -> Path:
         params = memory.params[child]
         if self.refine_steps > 0:
             return self.motions.path(params)

@@ -11,7 +11,7 @@ from typing_extensions import override
 from bojax.motions.base import DiscreteMotions, Path
 from bojax.numerics.lanes import write_row
 from bojax.planning.search import PlanDraws, Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_uct
+from bojax.planning.tree import UNVISITED, Index, Tree, best_by_uct
 from bojax.problems.base import Objective
 
 
@@ -55,19 +55,14 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMotions]):
         return memory, draws
 
     @override
-    def view(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
+    def view(self, tree: Tree, memory: DiscreteMemory, node: Index) -> Index:
         """The child to descend to."""
         is_open = tree.num_children(node) < self.motions.count
         return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
 
     @override
     def propose(
-        self,
-        tree: Tree,
-        memory: DiscreteMemory,
-        node: Int[Array, ""],
-        view: Int[Array, ""],
-        draws: PlanDraws,
+        self, tree: Tree, memory: DiscreteMemory, node: Index, view: Int[Array, ""], draws: PlanDraws
     ) -> Proposal:
         # Lines 16-17 of Algorithm 2: any untried action, chosen by random priorities in [0, 1). Places past
         # the size of the set only make sets of all sizes one program.
@@ -78,10 +73,10 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMotions]):
 
     @override
     def learn(
-        self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+        self, memory: DiscreteMemory, child: Index, proposal: Proposal, is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
         return DiscreteMemory(memory.paths, write_row(memory.action, child, proposal.index))
 
     @override
-    def path_of(self, memory: DiscreteMemory, child: Int[Array, ""]) -> Path:
+    def path_of(self, memory: DiscreteMemory, child: Index) -> Path:
         return memory.paths[memory.action[child]]

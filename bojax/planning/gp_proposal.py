@@ -9,7 +9,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
 from bojax.acquisition.functions import Acquisition
@@ -17,7 +17,7 @@ from bojax.acquisition.maximise import first_maximum
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.planning.proposals import Proposal, Target
-from bojax.planning.tree import ROOT, Totals, Tree, row
+from bojax.planning.tree import ROOT, Index, Totals, Tree, row
 from bojax.problems.actions import ActionSpace
 
 PRIOR_DEGREES = 2.0
@@ -77,7 +77,7 @@ class GaussianProcessProposal(Proposal):
 
     @override
     def __call__(
-        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
+        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Index, totals: Totals
     ) -> Float[Array, "P"]:
         candidates = jax.vmap(space.sample)(jax.random.split(key, self.num_candidates))
         process = self.process(space, tree, node, totals)
@@ -86,9 +86,7 @@ class GaussianProcessProposal(Proposal):
         best = first_maximum(self.acquisition(mean, jnp.sqrt(variance), incumbent))
         return candidates[jnp.where(process.count < self.num_initial, 0, best)]
 
-    def process(
-        self, space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
-    ) -> GaussianProcess:
+    def process(self, space: ActionSpace, tree: Tree, node: Index, totals: Totals) -> GaussianProcess:
         """The process of a node, from points (coordinates and level) to standardised means."""
         parameters = tree.parameters_of(row(tree.children, node))
         visits, _, sums, deviations = totals.T

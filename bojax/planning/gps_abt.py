@@ -12,7 +12,7 @@ from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.lanes import write_row
 from bojax.numerics.loops import short_loop
 from bojax.planning.search import PlanDraws, Proposal, TreeSearch
-from bojax.planning.tree import ROOT, UNVISITED, Tree, upper_bound
+from bojax.planning.tree import ROOT, UNVISITED, Index, Tree, upper_bound
 from bojax.problems.base import Objective
 
 CENTRE = 0  # index of the centre among the points of a stencil
@@ -134,17 +134,15 @@ class PatternSearch(TreeSearch[ContinuousMotions]):
         return super().rollout(memory, draws)
 
     @override
-    def view(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
+    def view(self, tree: Tree, memory: Stencils, node: Index) -> Walk:
         return self._walk(tree, memory, node)
 
     @override
-    def select(self, view: Walk) -> Int[Array, ""]:
+    def select(self, view: Walk) -> Index:
         return jnp.where(view.has_unvisited | view.may_refine, UNVISITED, view.best_ucb)
 
     @override
-    def propose(
-        self, tree: Tree, memory: Stencils, node: Int[Array, ""], view: Walk, draws: PlanDraws
-    ) -> Proposal:
+    def propose(self, tree: Tree, memory: Stencils, node: Index, view: Walk, draws: PlanDraws) -> Proposal:
         # Either a point of the last stencil, or one of the finer stencil around its best point. Both are
         # computed and one is selected, since lanes differ.
         centre, radius, member = self._finer(memory, view.stencil, view.point)
@@ -161,13 +159,7 @@ class PatternSearch(TreeSearch[ContinuousMotions]):
         return Proposal(path=self.motions.path(points[point]), index=tree.num_children(node), update=update)
 
     @override
-    def learn(
-        self,
-        memory: Stencils,
-        child: Int[Array, ""],
-        proposal: Proposal,
-        is_new: Bool[Array, ""],
-    ) -> Stencils:
+    def learn(self, memory: Stencils, child: Index, proposal: Proposal, is_new: Bool[Array, ""]) -> Stencils:
         # Stencil N + child is written in every iteration, at an index that all lanes share, and is linked
         # from its parent only if it refines a point. Links that do not apply have an index past the end.
         update: StencilUpdate = proposal.update
@@ -187,16 +179,16 @@ class PatternSearch(TreeSearch[ContinuousMotions]):
         )
 
     @override
-    def recommend(self, tree: Tree, memory: Stencils) -> Int[Array, ""]:
+    def recommend(self, tree: Tree, memory: Stencils) -> Index:
         """The most visited child, which the toolkit calls robust."""
         return self._walk(tree, memory, jnp.asarray(ROOT, jnp.int32)).most_visited
 
     @override
-    def path_of(self, memory: Stencils, child: Int[Array, ""]) -> Path:
+    def path_of(self, memory: Stencils, child: Index) -> Path:
         return self.motions.path(memory.params[child])
 
     @eqx.filter_jit  # traced and lowered once for the views of the root, of other nodes and for the plan
-    def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
+    def _walk(self, tree: Tree, memory: Stencils, node: Index) -> Walk:
         # A loop of `max_levels` steps, in which a descent that has ended keeps its state under masks: lanes
         # end at different levels. One pass finds all that `select`, `propose` and `recommend` need.
         dtype = tree.outcome.dtype

@@ -16,7 +16,7 @@ from bojax.motions.base import ContinuousMotions
 from bojax.planning.base import PathPlanner, Plan
 from bojax.planning.belief_search import BeliefTreeSearch, Expansion
 from bojax.planning.search import return_of
-from bojax.planning.tree import ROOT, Tree, row
+from bojax.planning.tree import ROOT, Index, Tree, row
 from bojax.problems.actions import Box
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import Node, PathProblem, Root
@@ -95,7 +95,7 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         problem: PathModel,
         tree: Tree,
         state: Float[Array, "0"],
-        node: Int[Array, ""],
+        node: Index,
         action: Float[Array, "K"],
     ) -> Expansion:
         key_rollout, key_simulate = jax.random.split(key)
@@ -107,7 +107,7 @@ class PathDPW(BeliefTreeSearch, PathPlanner[ContinuousMotions]):
         return Expansion(simulated.node, simulated.rewards[0], simulated.terminated[0], rollout)
 
     @override
-    def leaf_at(self, tree: Tree, state: Float[Array, "0"], node: Int[Array, ""]) -> RolloutRewards:
+    def leaf_at(self, tree: Tree, state: Float[Array, "0"], node: Index) -> RolloutRewards:
         """No reward: at the horizon, nothing follows."""
         return RolloutRewards(jnp.zeros(self.depth - 1, state.dtype), jnp.ones(self.depth - 1, bool))
 

@@ -19,7 +19,7 @@ from bojax.planning.leaf_values import (
     simulated_return,
 )
 from bojax.planning.oracles import policy_named
-from bojax.planning.tree import ROOT, Tree, row
+from bojax.planning.tree import ROOT, Index, Tree, row
 from bojax.problems.particles import Particles, systematic
 from bojax.problems.state_model import Action, State
 from bojax.problems.state_space import StateProblem
@@ -169,7 +169,7 @@ class PFT(BeliefSearch):
         problem: StateProblem,
         tree: Tree,
         state: State,
-        node: Int[Array, ""],
+        node: Index,
         action: Action,
     ) -> Expansion:
         key_state, key_step = jax.random.split(key)
@@ -184,7 +184,7 @@ class PFT(BeliefSearch):
         return Expansion(after, reward, is_terminal, after)
 
     @override
-    def leaf_at(self, tree: Tree, state: State, node: Int[Array, ""]) -> ParticleSet:
+    def leaf_at(self, tree: Tree, state: State, node: Index) -> ParticleSet:
         return jax.tree.map(lambda leaf: row(leaf, node), tree.beliefs)
 
 

@@ -12,7 +12,7 @@ from bojax.numerics.simulation_keys import random_index
 from bojax.planning.belief_planner import BeliefSearch
 from bojax.planning.belief_search import Draw, Expansion
 from bojax.planning.leaf_values import ParticleSet
-from bojax.planning.tree import UNVISITED, Tree, row
+from bojax.planning.tree import UNVISITED, Index, Tree, row
 from bojax.problems.particles import Particles
 from bojax.problems.state_model import Action, Observation, State
 from bojax.problems.state_space import StateProblem
@@ -72,7 +72,7 @@ class POMCPOW(BeliefSearch):
         tree: Tree,
         state: State,
         action: Action,
-        branch: Int[Array, ""],
+        branch: Index,
         is_followed: Bool[Array, ""],
     ) -> tuple[Reservoirs, State, Float[Array, ""], Bool[Array, ""]]:
         key_step, key_places, key_draw = jax.random.split(key, 3)
@@ -102,7 +102,7 @@ class POMCPOW(BeliefSearch):
         problem: StateProblem,
         tree: Tree,
         state: State,
-        node: Int[Array, ""],
+        node: Index,
         action: Action,
     ) -> Expansion:
         next_state, reward, ended, observation = _simulated(key, problem, state, action)
@@ -117,7 +117,7 @@ class POMCPOW(BeliefSearch):
         return Expansion(belief, reward, ended, ParticleSet(next_state[None], ~ended[None]))
 
     @override
-    def leaf_at(self, tree: Tree, state: State, node: Int[Array, ""]) -> ParticleSet:
+    def leaf_at(self, tree: Tree, state: State, node: Index) -> ParticleSet:
         return ParticleSet(state[None], jnp.ones((1,), bool))
 
 

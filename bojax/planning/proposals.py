@@ -6,10 +6,10 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
-from bojax.planning.tree import Totals, Tree, mean_return, row
+from bojax.planning.tree import Index, Totals, Tree, mean_return, row
 from bojax.problems.actions import ActionSpace
 
 Target = Literal["reward", "return"]
@@ -26,7 +26,7 @@ class Proposal(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
+        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Index, totals: Totals
     ) -> Float[Array, "P"]:
         """Parameters of a new action of `node`, whose actions have the visits and returns `totals`."""
 
@@ -36,7 +36,7 @@ class RandomProposal(Proposal):
 
     @override
     def __call__(
-        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
+        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Index, totals: Totals
     ) -> Float[Array, "P"]:
         return space.sample(key)
 
@@ -58,7 +58,7 @@ class VoronoiProposal(Proposal):
 
     @override
     def __call__(
-        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Int[Array, ""], totals: Totals
+        self, key: Key[Array, ""], space: ActionSpace, tree: Tree, node: Index, totals: Totals
     ) -> Float[Array, "P"]:
         if (num := self.variance.shape[0]) not in (1, space.size):
             raise ValueError(

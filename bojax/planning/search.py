@@ -13,7 +13,7 @@ from typing_extensions import override
 from bojax.motions.base import Path
 from bojax.numerics.lanes import batched_together
 from bojax.planning.base import M, PathPlanner, Plan
-from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree, best_by_mean
+from bojax.planning.tree import ROOT, UNVISITED, Growth, Index, Tree, best_by_mean
 from bojax.problems.base import Belief, Objective
 from bojax.problems.path_problem import PathProblem, Root
 
@@ -70,35 +70,31 @@ class TreeSearch(PathPlanner[M]):
         return memory.paths[draws.rollout]
 
     @abc.abstractmethod
-    def view(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> View:
+    def view(self, tree: Tree, memory: Memory, node: Index) -> View:
         """What `select` and `propose` read at `node`: it depends on the node and its children only."""
 
-    def select(self, view: View) -> Int[Array, ""]:
+    def select(self, view: View) -> Index:
         """The child of the node to descend to, or `UNVISITED` to add an action there; by default `view`."""
         return view
 
     @abc.abstractmethod
-    def propose(
-        self, tree: Tree, memory: Memory, node: Int[Array, ""], view: View, draws: PlanDraws
-    ) -> Proposal:
+    def propose(self, tree: Tree, memory: Memory, node: Index, view: View, draws: PlanDraws) -> Proposal:
         """A new action of `node`, whose view is `view`."""
 
     @abc.abstractmethod
-    def learn(
-        self, memory: Memory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
-    ) -> Memory:
+    def learn(self, memory: Memory, child: Index, proposal: Proposal, is_new: Bool[Array, ""]) -> Memory:
         """The memory after the action that leads to `child` has been simulated.
 
         If `is_new` is false, the action is discarded: no node refers to `child`, so that any value may be
         stored for it, but the values of other nodes must not change.
         """
 
-    def recommend(self, tree: Tree, memory: Memory) -> Int[Array, ""]:
+    def recommend(self, tree: Tree, memory: Memory) -> Index:
         """The child of the root whose action is executed; by default the one with the highest mean return."""
         return best_by_mean(tree)
 
     @abc.abstractmethod
-    def path_of(self, memory: Memory, child: Int[Array, ""]) -> Path:
+    def path_of(self, memory: Memory, child: Index) -> Path:
         """The path of the action that leads to `child`."""
 
     @override
@@ -164,7 +160,7 @@ class TreeSearch(PathPlanner[M]):
         memory: Memory,
         views: View,
         growth: Growth,
-        child: Int[Array, ""],
+        child: Index,
         draws: PlanDraws,
         key: Key[Array, ""],
     ) -> tuple[Tree, Memory, View, Growth]:
@@ -222,12 +218,7 @@ class TreeSearch(PathPlanner[M]):
         return _Descent(node, level, visited)
 
     def _back_up(
-        self,
-        tree: Tree,
-        descent: "_Descent",
-        child: Int[Array, ""],
-        is_new: Bool[Array, ""],
-        future: Float[Array, ""],
+        self, tree: Tree, descent: "_Descent", child: Index, is_new: Bool[Array, ""], future: Float[Array, ""]
     ) -> tuple[Int[Array, "L"], Float[Array, "L"]]:
         """The nodes from the new one, if there is one, back to the root, and the return gained from each."""
         nowhere = tree.children.shape[0]  # past the end: such writes are dropped
@@ -269,6 +260,6 @@ def return_of(
     return value
 
 
-def _at(rows: View, node: Int[Array, ""]) -> View:
+def _at(rows: View, node: Index) -> View:
     """The row of a node in every array of a tree."""
     return jax.tree.map(lambda leaf: leaf[node], rows)

@@ -22,6 +22,9 @@ Belief = Any
 """What a planner stores for a belief node: a tree of arrays."""
 
 
+Index = Int[Array, ""]
+"""Index of a node."""
+
 Totals = Float[Array, "A T"]
 """`Tree.totals` of the actions of a node."""
 
@@ -125,7 +128,7 @@ class Tree(eqx.Module):
         totals = self.totals_of(actions)
         return mean_return(totals[..., 0], totals[..., 1])
 
-    def num_children(self, node: Int[Array, ""]) -> Int[Array, ""]:
+    def num_children(self, node: Index) -> Int[Array, ""]:
         """Number of actions that have been simulated from the belief node `node`."""
         return jnp.sum(self.children[node] != UNVISITED, dtype=jnp.int32)
 
@@ -210,7 +213,7 @@ def upper_bound(
     return mean_return(visits, returns) + bonus
 
 
-def best_by_mean(tree: Tree) -> Int[Array, ""]:
+def best_by_mean(tree: Tree) -> Index:
     """Child of the root with the highest mean return.
 
     Deviation: Algorithms 2 and 4 choose the largest sum of returns, which for negative returns favours the
@@ -220,7 +223,7 @@ def best_by_mean(tree: Tree) -> Int[Array, ""]:
     return children[jnp.argmax(tree.mean_return(children))]
 
 
-def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""]) -> Int[Array, ""]:
+def best_by_uct(tree: Tree, node: Index, exploration: Float[Array, ""]) -> Index:
     """Child of `node` with the highest `upper_bound`, where every action has one branch."""
     children = tree.children[node]
     totals = tree.totals_of(children)
