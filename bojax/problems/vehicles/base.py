@@ -15,6 +15,8 @@ from bojax.numerics.angles import wrap_to_2pi
 VehicleState = Any
 """True state of a vehicle: a tree of arrays."""
 
+PoseNoise = Float[Array, "3"] | None  # of measurements, see `Vehicle.follow`
+
 
 class TrackingResult(eqx.Module):
     """Result of tracking a path."""
@@ -46,7 +48,7 @@ class Vehicle(eqx.Module):
 
     @abc.abstractmethod
     def follow(
-        self, key: Key[Array, ""], state: VehicleState, path: Path, end: Pose, noise: Float[Array, "3"] | None
+        self, key: Key[Array, ""], state: VehicleState, path: Path, end: Pose, noise: PoseNoise
     ) -> TrackingResult:
         """Track a path, and come to rest.
 
@@ -108,7 +110,7 @@ class Exact(Vehicle):
 
     @override
     def follow(
-        self, key: Key[Array, ""], state: Pose, path: Path, end: Pose, noise: Float[Array, "3"] | None
+        self, key: Key[Array, ""], state: Pose, path: Path, end: Pose, noise: PoseNoise
     ) -> TrackingResult:
         estimates = path
         if noise is not None:

@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from bojax.motions.base import Path, Pose
 from bojax.numerics.angles import wrap_to_2pi
-from bojax.problems.vehicles.base import TrackingResult
+from bojax.problems.vehicles.base import PoseNoise, TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, frames_of, planar
 from bojax.robots.flight import Airframe, control, reference_trajectory
 from bojax.robots.models import packaged
@@ -63,12 +63,7 @@ class Quadrotor(SimulatedVehicle):
 
     @override
     def follow(
-        self,
-        key: Key[Array, ""],
-        state: SimulatedState,
-        path: Path,
-        end: Pose,
-        noise: Float[Array, "3"] | None,
+        self, key: Key[Array, ""], state: SimulatedState, path: Path, end: Pose, noise: PoseNoise
     ) -> TrackingResult:
         simulator, airframe = self.simulator, self.airframe
         num_steps = self.path_steps + self.rest_steps

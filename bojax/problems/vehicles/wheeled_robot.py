@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import Path, Pose
-from bojax.problems.vehicles.base import TrackingResult
+from bojax.problems.vehicles.base import PoseNoise, TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, frames_of, planar
 from bojax.robots import pursuit
 from bojax.robots.models import packaged
@@ -60,12 +60,7 @@ class WheeledRobot(SimulatedVehicle):
 
     @override
     def follow(
-        self,
-        key: Key[Array, ""],
-        state: SimulatedState,
-        path: Path,
-        end: Pose,
-        noise: Float[Array, "3"] | None,
+        self, key: Key[Array, ""], state: SimulatedState, path: Path, end: Pose, noise: PoseNoise
     ) -> TrackingResult:
         simulator = self.simulator
         num_readings = self.readings + self.rest_readings
