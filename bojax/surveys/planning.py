@@ -276,11 +276,7 @@ def ground_within(ground: Ground, region: Area) -> Ground:
 
 
 class _Outcomes:
-    """What the model expects after routes, by one compiled program.
-
-    Attributes:
-        errors: The belief before.
-    """
+    """What the model expects after routes, by one compiled program; `errors` is the belief before."""
 
     def __init__(self, errors: PointErrors, sampling: float, longest: float, robots: int):
         """Prepare routes of at most `longest` metres with a measurement at every `sampling` metres."""
