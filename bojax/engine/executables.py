@@ -37,14 +37,14 @@ def save(key: str, device: Device, loaded: Loaded) -> None:
         programs = {name: serialize_executable.serialize(made) for name, made in loaded.programs.items()}
         carry = [(leaf.shape, leaf.dtype) for leaf in loaded.carry]
         content = zlib.compress(pickle.dumps((programs, carry, dict(loaded.contents))), _FAST)
-        disk_cache.write(_name(key, device), content, EXECUTABLES)
+        disk_cache.write(f"{key}-{device.id}", content, EXECUTABLES)
 
 
 def load(key: str | None, device: Device) -> Loaded | None:
     """The compiled programs of a group on a device; None if they are not saved, or cannot be loaded."""
     if key is None or not program_cache.is_saved(key):  # other devices need the traced programs
         return None
-    content = disk_cache.read(_name(key, device), EXECUTABLES)
+    content = disk_cache.read(f"{key}-{device.id}", EXECUTABLES)
     if content is None:
         return None
     if device.platform == "cpu":
@@ -68,7 +68,3 @@ def _is_on(device: Device, made: Compiled) -> bool:
     """Whether a program runs on a device."""
     executable = made.runtime_executable()
     return executable is not None and executable.local_devices() == [device]
-
-
-def _name(key: str, device: Device) -> str:
-    return f"{key}-{device.id}"

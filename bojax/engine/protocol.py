@@ -3,7 +3,7 @@
 The checks run while the experiment is traced and cost nothing at run time.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import jax
 import numpy as np
@@ -63,19 +63,15 @@ def check_summary(experiment: Experiment, summary: Mapping[str, Array]) -> None:
 
 
 def _check_columns(experiment: Experiment, where: str, columns: Mapping[str, Array], table: Table) -> None:
-    _compare_names(experiment, where, columns, column_names(table))
-    for column in table:
-        dtype, declared = columns[column.name].dtype, "int32" if column.words else column.dtype
-        if declared == "string" or not np.can_cast(dtype, np.dtype(declared), "same_kind"):
-            raise _error(experiment, f"{where}: {column.name!r} is {dtype}; `tables` declares {declared}")
-
-
-def _compare_names(experiment: Experiment, where: str, found: Iterable[str], declared: Iterable[str]) -> None:
-    found, declared = set(found), set(declared)
+    found, declared = set(columns), set(column_names(table))
     if missing := sorted(declared - found):
         raise _error(experiment, f"{where}: column {missing[0]!r} is declared in `tables`, but missing")
     if unknown := sorted(found - declared):
         raise _error(experiment, f"{where}: column {unknown[0]!r} is not declared in `tables`")
+    for column in table:
+        dtype, wanted = columns[column.name].dtype, "int32" if column.words else column.dtype
+        if wanted == "string" or not np.can_cast(dtype, np.dtype(wanted), "same_kind"):
+            raise _error(experiment, f"{where}: {column.name!r} is {dtype}; `tables` declares {wanted}")
 
 
 def _type(leaf: PyTree) -> str:
