@@ -27,14 +27,13 @@ def main(name: str, words: Sequence[str]) -> int:
 
     signals = (*SIGNALS, REQUEUE)
     with StopRequest(announce=lambda _: None, signals=signals) as stop:
-        from bojax.engine.worker import WorkerOptions, guarded, run_worker
+        from bojax.engine.worker import guarded, run_worker
 
         if stop:
             return _stopped(stop)
-    number, count = args.share
-    options = WorkerOptions(args.devices, args.cores, number, count)
+    options = {"devices": args.devices, "cores": args.cores, "share": args.share}
     with StopRequest(signals=signals) as stop:
-        code = guarded(lambda: run_worker(args.folders, options, stop.__bool__))
+        code = guarded(lambda: run_worker(args.folders, stop.__bool__, **options))
         return _stopped(stop) if stop else code
 
 

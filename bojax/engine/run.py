@@ -115,7 +115,7 @@ def _execute(
     run_of = {task: run for run, tasks in by_sweep.items() for task in tasks}
     tasks = longest_first(by_sweep.values())
     for task, run in run_of.items():
-        run.note_progress(task.group, task.progress)
+        run.progress[task.group.index] = task.progress
     left = {run: len(tasks) for run, tasks in by_sweep.items()}
     workers = workers_for(tasks, devices)
     owned = {storage: run.plan.chunks for storage, run in storages.items()}

@@ -54,7 +54,7 @@ class SweepRun:
         self._files: Mapping[int, ChunkFolder] = {}
         self.planned = time.monotonic()  # when the object was created
         self._times: dict[str, float] = {}
-        self._progress: dict[int, GroupProgress] = {}
+        self.progress: dict[int, GroupProgress] = {}  # when each group, by its index, is compiled and run
 
     @property
     def path(self) -> Path:
@@ -103,10 +103,6 @@ class SweepRun:
     def note_seconds(self, stage: str, seconds: float) -> None:
         """Note the wall time of a stage of the command, for the manifest."""
         self._times[stage] = round(seconds, 1)
-
-    def note_progress(self, group: StaticGroup, progress: GroupProgress) -> None:
-        """Note when a group is compiled and run, also later than now."""
-        self._progress[group.index] = progress
 
     def finalise(self, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
         """Merge the sweep, say how it ended, and finish it unless a chunk has failed.
@@ -224,7 +220,7 @@ class SweepRun:
 
     def _times_of(self, group: StaticGroup) -> dict[str, float]:
         """Seconds from the end of planning to what this process has done of a group."""
-        progress = self._progress.get(group.index)
+        progress = self.progress.get(group.index)
         times = {name: getattr(progress, name, None) for name in ("compiling", "compiled", "begun", "ended")}
         return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
 

@@ -7,7 +7,6 @@ the folder, for its own device. The first worker commits its plan; a worker whos
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -35,21 +34,19 @@ EXPECTED = (UserError, ImportError)
 """Errors that the user can act on, printed as one line."""
 
 
-@dataclass(frozen=True)
-class WorkerOptions:
-    """What a worker uses of its machine, and where it starts."""
-
-    devices: Sequence[int] | None = None  # indices of the devices; None for all
-    cores: int | None = None  # number of cores of a CPU; None for all that the process may run on
-    number: int = 0  # number of the share, from 0
-    count: int = 1  # number of shares that the chunks of the launch are divided into
-
-
-def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[], bool]) -> int:
+def run_worker(
+    folders: Sequence[Path],
+    stop: Callable[[], bool],
+    *,
+    devices: Sequence[int] | None = None,
+    cores: int | None = None,
+    share: tuple[int, int] = (0, 1),
+) -> int:
     """Run a share of the chunks; return 0, or 1 if a chunk failed here.
 
     After a requested stop, the chunks that run are paused at a checkpoint. Sweeps that have ended meanwhile
-    are left out.
+    are left out. `devices` and `cores` are what the worker uses of its machine, by default all; `share` is the
+    number of its share, from 0, and that of all shares that the chunks of the launch are divided into.
 
     Raises:
         ConfigError: The sweep cannot be built on this machine.
@@ -62,23 +59,23 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
     launches = [(index, folder, folder.launched()) for index, folder in left or [(0, opened[0])]]
     sweeps = [_sweep_of(folder, launch) for _, folder, launch in launches]
     prepare(sweeps[0].engine.device)
-    devices = choose(find_devices(sweeps[0].engine.device), options.devices)
+    found, (number, count) = choose(find_devices(sweeps[0].engine.device), devices), share
     owned: dict[FolderStorage, Sequence[Chunk]] = {}
     try:
         for (index, folder, launch), sweep in zip(launches, sweeps, strict=True):
             os.chdir(launch.folder)
-            plan = make_plan(resolve(sweep), devices)
+            plan = make_plan(resolve(sweep), found)
             folder.join(plan.content, plan.device)
             storage = FolderStorage(plan, folder, launch, AttemptRegistry(folder.work, folder.path))
             chunks = plan.chunks if launch.left is None else [plan.chunks[chunk] for chunk in launch.left]
-            owned[storage] = share_of(chunks, (options.number + index) % options.count, options.count)
+            owned[storage] = share_of(chunks, (number + index) % count, count)
         several = len(owned) > 1
         tasks = [
             task
             for storage, chunks in owned.items()
             for task in tasks_of(storage.plan, storage.unfinished(chunks), storage, name_sweep=several)
         ]
-        workers = workers_for(tasks, devices, options.cores)
+        workers = workers_for(tasks, found, cores)
         with progress_of(owned, tasks) as progress:
             for _ in execute(tasks, workers, progress, stop):
                 pass

@@ -50,13 +50,13 @@ def plan_sweep(sweep, out: Path) -> None:
 
 def work_on(*folders: Path, stop=bool, **options) -> int:
     """Run chunks of toy sweeps in this process; the exit code."""
-    from bojax.engine.worker import WorkerOptions, guarded, run_worker
+    from bojax.engine.worker import guarded, run_worker
 
     here = os.getcwd()
     with pytest.MonkeyPatch.context() as patch:
         knows_toys(patch)
         try:
-            return guarded(lambda: run_worker(folders, WorkerOptions(**options), stop))
+            return guarded(lambda: run_worker(folders, stop, **options))
         finally:
             os.chdir(here)
 

@@ -101,14 +101,14 @@ def test_shares_are_even_and_hold_whole_groups():
 @pytest.mark.bits
 def test_shares_are_divided_anew_on_resumption(planned, alone):
     """Each worker runs its own chunks only, and a launch divides those that are left."""
-    assert work_on(planned, number=1, count=3) == 0
+    assert work_on(planned, share=(1, 3)) == 0
     (first,) = attempts_of(planned).done
     assert first.startswith("chunk-00001-")
-    assert work_on(planned, number=1, count=3) == 0  # started again: nothing is left of this share
+    assert work_on(planned, share=(1, 3)) == 0  # started again: nothing is left of this share
     RunFolder(planned).launch(RunFolder(planned).launched().sweep, [0, 2])
-    assert work_on(planned, number=1, count=2) == 0
+    assert work_on(planned, share=(1, 2)) == 0
     assert [name.split("-")[1] for name in sorted(attempts_of(planned).done)] == ["00001", "00002"]
-    assert work_on(planned, number=0, count=2) == 0
+    assert work_on(planned, share=(0, 2)) == 0
     assert merged(planned) == alone
 
 

@@ -20,7 +20,7 @@ from bojax.api.results import TuningResults
 from bojax.cli.main import main
 from bojax.config.sweep import load_config
 from bojax.engine import batch
-from bojax.engine.worker import WorkerOptions, run_worker
+from bojax.engine.worker import run_worker
 from bojax.report.source import load
 from bojax.report.text import seconds
 from bojax.results.folder import make_new
@@ -210,7 +210,7 @@ def test_an_interrupted_search_prints_how_to_resume_it(tmp_path, monkeypatch, ca
 
 @pytest.mark.bits
 def test_workers_of_a_launcher_run_the_rounds(tmp_path, undisturbed, monkeypatch):
-    launcher = InProcessLauncher(lambda folders: run_worker(folders, WorkerOptions(cores=1), lambda: False))
+    launcher = InProcessLauncher(lambda folders: run_worker(folders, lambda: False, cores=1))
     monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: launcher)
     out = tmp_path / "search"
     closed = []

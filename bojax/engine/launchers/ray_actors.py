@@ -213,11 +213,11 @@ class _Actor:
         Returns:
             The error for which the worker left early, in one line; None if there was none.
         """
-        from bojax.engine.worker import EXPECTED, WorkerOptions, run_worker
+        from bojax.engine.worker import EXPECTED, run_worker
 
-        options = WorkerOptions(None, cores, share, count)
+        paths = [Path(folder) for folder in folders]
         try:
-            run_worker([Path(folder) for folder in folders], options, lambda: self._is_stopping)
+            run_worker(paths, lambda: self._is_stopping, cores=cores, share=(share, count))
         except EXPECTED as problem:
             return f"{socket.gethostname()}: {problem}"
         return None
