@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
@@ -28,9 +29,12 @@ import bojax
 from bojax.engine.autotuning import Choices
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.compiler import compile_threads
-from bojax.engine.devices import Device, prepare, setting
+from bojax.engine.devices import Device, of_platform, prepare, setting
 from bojax.engine.groups import StaticGroup
-from bojax.engine.tasks import ProgramKey
+from bojax.engine.plan import Plan
+from bojax.engine.storage import Storage
+from bojax.engine.tasks import ProgramKey, longest_first, tasks_of
+from bojax.engine.xla_choices import offer_shipped
 from bojax.numerics.cores import usable_cores
 from bojax.numerics.disk_cache import folder_of
 
@@ -185,6 +189,40 @@ class CompileProcesses:
                 with contextlib.suppress(OSError):
                     assert pipe is not None
                     pipe.close()
+
+
+class Ahead:
+    """Child processes that compile the groups planned so far, once these are enough.
+
+    To plan all sweeps of the thesis takes half a minute on slow cores, and keeps one of them busy. The others
+    have compiled the first groups by then.
+    """
+
+    def __init__(self, devices: Sequence[Device]):
+        self.processes = CompileProcesses(0)
+        self._devices = devices
+        self._new: deque[Request] = deque()
+        self._offered: set[str | None] = set()
+
+    def offer(self, plan: Plan) -> None:
+        """Compile the groups of a sweep that is planned, as soon as a process is idle."""
+        for task in longest_first([tasks_of(plan, plan.chunks, Storage())]):
+            key = task.key(of_platform(self._devices, task.platform)[0])
+            if key.is_new and key.name not in self._offered:
+                self._offered.add(key.name)
+                self._new.append(Request.of(key))
+        if not self.processes and number_of_processes(len(self._new), self._devices):
+            self.processes = CompileProcesses(number_of_processes(compile_threads(), self._devices))
+            for device in self._devices:
+                offer_shipped(device)
+        while self._new and self.processes.begin(self._new[0]):
+            self._new.popleft()
+
+    def __enter__(self) -> "Ahead":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.processes.close()
 
 
 _DONE, _FAILED = b"1", b"0"

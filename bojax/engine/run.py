@@ -8,8 +8,7 @@ from typing import Any
 from bojax.config.errors import ConfigError, say
 from bojax.config.points import Sweep
 from bojax.config.settings import Platform
-from bojax.engine.ahead import Ahead
-from bojax.engine.compile_processes import CompileProcesses
+from bojax.engine.compile_processes import Ahead, CompileProcesses
 from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.execute import execute
 from bojax.engine.remote import Launcher, run_remotely

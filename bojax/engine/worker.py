@@ -45,8 +45,8 @@ def run_worker(
     """Run a share of the chunks; return 0, or 1 if a chunk failed here.
 
     After a requested stop, the chunks that run are paused at a checkpoint. Sweeps that have ended meanwhile
-    are left out. `devices` and `cores` are what the worker uses of its machine, by default all; `share` is the
-    number of its share, from 0, and that of all shares that the chunks of the launch are divided into.
+    are left out. `devices` and `cores` are what the worker uses of its machine, by default all; `share` is
+    the number of its share, from 0, and that of all shares that the chunks of the launch are divided into.
 
     Raises:
         ConfigError: The sweep cannot be built on this machine.
