@@ -19,7 +19,7 @@ from bojax.engine.gpu_clients import shared_memory
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.scheduler import Scheduler
-from bojax.engine.sinks import Sink
+from bojax.engine.storage import Sink
 from bojax.engine.tasks import GroupTask, ProgramKey
 from bojax.engine.xla_choices import offer_shipped
 from bojax.results.store import ResultsError

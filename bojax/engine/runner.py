@@ -17,7 +17,7 @@ from bojax.engine.batch import Lanes, Programs
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import EngineError, Stopped
 from bojax.engine.segments import Rows, fetch_rows, run_advances
-from bojax.engine.sinks import Sink
+from bojax.engine.storage import Sink
 from bojax.errors import FAILURE
 from bojax.experiments.base import Experiment
 from bojax.results.store import ResultsError

@@ -25,8 +25,7 @@ from bojax.engine.groups import static_groups
 from bojax.engine.policies import Policy, check_seed
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
-from bojax.engine.sinks import Sink
-from bojax.engine.storage import Storage
+from bojax.engine.storage import Sink, Storage
 from bojax.engine.tasks import GroupTask
 from bojax.envs.base import Env
 from bojax.experiments.learning import LearningRun

@@ -70,7 +70,7 @@ def knows_toys(patch: pytest.MonkeyPatch) -> None:
 
 SLOWLY = """
 import time
-from bojax.engine.sinks import FolderSink
+from bojax.engine.storage import FolderSink
 write = FolderSink.write_piece
 FolderSink.write_piece = lambda *arguments: (time.sleep(0.02), write(*arguments))
 """

@@ -17,7 +17,7 @@ from bojax.engine.chunks import Layout, choose_layout, cut
 from bojax.engine.errors import Stopped
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
-from bojax.engine.sinks import FolderSink, Sink
+from bojax.engine.storage import FolderSink, Sink
 from bojax.learning.settings import EMUQ, RFFQ, EMUQPublished
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import read_table

@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from bojax.config.settings import Record
 from bojax.engine.learners import EVALUATION_EPISODES, LEARNED, load_learner, merge_learners
-from bojax.engine.sinks import FolderSink
+from bojax.engine.storage import FolderSink
 from bojax.results.chunk_folder import ChunkFolder
 from bojax.results.store import ResultsError
 from tests.examples.pages import ROOT, blocks
