@@ -27,13 +27,7 @@ def is_read_by_a_process() -> bool:
 
 
 class Bar:
-    """Shows how many of a number of runs are done. Its methods are called by one thread at a time.
-
-    Args:
-        title: What is run.
-        total: Number of runs.
-        console: Console to write to.
-    """
+    """Shows how many of a number of runs are done. Its methods are called by one thread at a time."""
 
     def __init__(self, title: str, total: int, console: Console):
         self._title, self._total, self._console = title, total, console

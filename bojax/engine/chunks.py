@@ -129,15 +129,10 @@ def cut(
     context: Mapping[str, Any],
     first_index: int = 0,
 ) -> list[Chunk]:
-    """Divide all runs of all points of a group into chunks; the run index varies fastest.
+    """Divide the given runs of all points of a group into chunks; the run index varies fastest.
 
-    Args:
-        group: The group.
-        runs: Indices of the runs of every point.
-        layout: How the runs are divided and advanced.
-        configs: Resolved config of each point of the sweep.
-        context: Everything else that the rows depend on, such as seed and code.
-        first_index: Index of the first chunk in the sweep.
+    `configs` has the resolved config of each point of the sweep, and `context` everything else that the rows
+    depend on, such as seed and code.
     """
     positions = np.repeat(np.arange(len(group.points)), len(runs))
     all_runs = np.tile(np.asarray(runs, dtype=np.int32), len(group.points))

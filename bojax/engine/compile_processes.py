@@ -82,12 +82,7 @@ class Request(NamedTuple):
 
 
 def number_of_processes(num_groups: int, devices: Sequence[Device]) -> int:
-    """How many child processes compile for these devices; 0 if this process had better compile itself.
-
-    Args:
-        num_groups: Number of groups that are not in the cache yet.
-        devices: The devices of this process.
-    """
+    """How many child processes compile groups that are not cached yet; 0 if this process does it itself."""
     if num_groups < LEAST_GROUPS or usable_cores() < LEAST_CORES or folder_of("programs") is None:
         return 0
     number = min(compile_threads(), num_groups)
@@ -101,11 +96,7 @@ def number_of_processes(num_groups: int, devices: Sequence[Device]) -> int:
 
 
 class CompileProcesses:
-    """Child processes; each compiles one group at a time.
-
-    Args:
-        number: Number of processes, which start at once.
-    """
+    """A number of child processes, which start at once; each compiles one group at a time."""
 
     def __init__(self, number: int):
         self._idle: queue.SimpleQueue[subprocess.Popen[bytes]] = queue.SimpleQueue()

@@ -227,12 +227,9 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
     that drive the accelerators must not wait. (With one for two, EMU-Q on cartpole advanced for 137 s on an
     H200 with 16 cores; for 60 s on one with 32 cores and no such workers.)
 
-    Args:
-        devices: The devices that are used.
-        cores: Number of cores of the CPU; all that this process may run on by default.
-
-    XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU share the one
-    device, and with it the compiled programs. Those of an accelerator share a lock, see `new_lock`.
+    XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU, by default
+    for all cores of this process, share the one device, and with it the compiled programs. Those of an
+    accelerator share a lock, see `new_lock`.
     """
     cpus = of_platform(devices, "cpu")
     workers = [device for device in devices if device not in cpus for _ in range(2)]

@@ -26,14 +26,10 @@ _clients: dict[Device, list[Device]] = {}
 
 
 def clients_of(gpu: Device, number: int) -> list[Device]:
-    """A GPU as several devices, the given one first.
+    """A GPU as a number of devices, `MOST_CLIENTS` at most, the given one first.
 
     It stays the only one if the GPU is not NVIDIA's, if there can be no further client, or if the allocator
     of `gpu_allocator` is not used: with others, each client would keep what its arrays have once taken.
-
-    Args:
-        gpu: The GPU.
-        number: Number of devices, of which there are `MOST_CLIENTS` at most.
     """
     if not gpu_allocator.is_chosen() or total_memory(gpu) is None:
         return [gpu]
@@ -63,11 +59,7 @@ def total_memory(gpu: Device) -> int | None:
 
 
 class DeviceMemory:
-    """The memory of a GPU, of which every running chunk holds a part.
-
-    Args:
-        limit: Number of bytes that all chunks may hold together.
-    """
+    """The memory of a GPU, a limited number of bytes, of which every running chunk holds a part."""
 
     def __init__(self, limit: int):
         self._limit, self._free = limit, limit

@@ -69,12 +69,9 @@ class Learned:
 
 
 def merge_learners(folder: Path, chunks: Iterable[ChunkFolder], configs: Sequence[Mapping[str, Any]]) -> None:
-    """Write the learners of all chunks to `learners/<point>`, replacing what an earlier merge has written.
+    """Write the learners of chunks that are done to `learners/<point>`, replacing those of an earlier merge.
 
-    Args:
-        folder: The results folder.
-        chunks: The chunks that are done.
-        configs: Resolved config of each point.
+    `configs` has the resolved config of each point.
 
     Raises:
         ResultsError: A file of a chunk is missing or has changed, or the folder cannot be written.

@@ -25,11 +25,6 @@ and a sweep whose programs are saved would trace nothing else.
 def check_memory(experiment: Experiment, config: Component, locate: Locate) -> None:
     """Refuse an experiment if one array of one run is larger than half the memory.
 
-    Args:
-        experiment: The experiment.
-        config: Its settings.
-        locate: Formats the path of a setting for messages.
-
     Raises:
         ConfigError: An array is too large. The message names the setting that is farthest above its default.
     """

@@ -45,11 +45,7 @@ class Plan:
 
 
 def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
-    """Build, group and divide the points of a sweep.
-
-    Args:
-        sweep: The sweep.
-        devices: The devices of this process; the sweep uses those that are `suited`.
+    """Build, group and divide the points of a sweep, for those devices of this process that are `suited`.
 
     Raises:
         ConfigError: A point cannot be built or needs too much memory, there are too many chunks, or the
@@ -65,10 +61,7 @@ def make_plan(sweep: Sweep, devices: Sequence[Device]) -> Plan:
 def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:
     """The plan that a worker has made of a sweep, on a machine that may have none of its devices.
 
-    Args:
-        sweep: The sweep.
-        content: The content of the plan, with the settings that were left to the worker's machine.
-        device: Description of the worker's devices.
+    Its content has the settings that were left to the worker's machine.
     """
     configs = [point["config"] for point in content["points"]]
     points = [

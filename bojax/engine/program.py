@@ -110,13 +110,7 @@ class Program:
         return Program.of_export(make(*self.inputs), self.donated, self.gains)
 
     def compile(self, name: str, device: Device, **options: Any) -> Compiled:
-        """Compile the program under a name for a device, or load it from JAX's cache.
-
-        Args:
-            name: Name of the program; JAX's file in its cache begins with it.
-            device: The device.
-            options: Options of XLA's compiler.
-        """
+        """Compile the program for a device, or load it from JAX's cache, where `name` begins its file."""
         if device.platform == "cpu":
             initialize_lapack()
         options = _options(device, self.gains) | options
@@ -164,9 +158,6 @@ def _has_bare_condition(text: str | None) -> bool:
     As a CUDA graph, such a loop ends too early or too late. A kernel of XLA (of JAX 0.11.2) reads the
     condition, and waits for the kernels of the condition only. If the body has computed it, as `any_lane` of
     a single lane, there are none, and the kernel reads what was there before.
-
-    Args:
-        text: The compiled program, as XLA prints it.
     """
     if text is None:
         return True

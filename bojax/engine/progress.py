@@ -41,11 +41,6 @@ class SweepProgress:
     """Reports the progress of sweeps: runs done, steps per second, lane utilisation, compilation, time left.
 
     Its methods may be called from any thread.
-
-    Args:
-        title: Name of the sweep.
-        num_runs: Number of runs of the whole sweep.
-        console: Console to write to; standard error by default.
     """
 
     def __init__(self, title: str, num_runs: int, *, console: Console | None = None):

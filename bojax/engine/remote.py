@@ -39,17 +39,12 @@ SHARES_PER_WORKER = 4
 
 
 def num_shares(workers: int, groups: int, chunks: int) -> int:
-    """Number of shares that the chunks of a launch are divided into, each run by one worker at a time.
+    """Number of shares that the chunks that are left are divided into, each run by one worker at a time.
 
     A worker that has finished a share is given another one by Ray or Slurm, so that more shares than workers
     balance the load. Every share compiles the programs of its groups, and shares that follow one another hold
     whole groups where there are more groups than shares: so there are no more shares than groups, unless a
     worker would have none.
-
-    Args:
-        workers: Number of workers.
-        groups: Number of static groups that have chunks left.
-        chunks: Number of chunks that are left.
     """
     return min(SHARES_PER_WORKER * workers, max(workers, groups), chunks)
 

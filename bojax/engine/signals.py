@@ -136,9 +136,7 @@ def kept() -> Iterator[None]:
 def stop_with_parent(parent: int | None = None, number: signal.Signals = signal.SIGTERM) -> threading.Thread:
     """Send this process a signal once the process that started it has ended, as when a kernel restarts.
 
-    Args:
-        parent: The id of that process, which may have ended already; by default it is asked for now.
-        number: The signal.
+    The id of that process, which may have ended already, is asked for now by default.
     """
     parent = parent or os.getppid()
 

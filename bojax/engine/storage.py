@@ -148,10 +148,7 @@ class FolderSink(Sink):
 class Storage:
     """Where the rows of the chunks of a process go. Its methods may be called from any thread.
 
-    This class keeps the rows in memory, and writes no files.
-
-    Args:
-        new_sink: Makes a place for the rows of a chunk.
+    This class keeps the rows in memory, in a new sink for each chunk, and writes no files.
     """
 
     # The choices of XLA that belong to the plan; None for a CPU, or if nothing is kept

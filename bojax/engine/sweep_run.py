@@ -74,8 +74,7 @@ class SweepRun:
     def open(self, *, retry: bool = True) -> None:
         """Create the results folder, or reopen it and verify what earlier processes have committed.
 
-        Args:
-            retry: Whether chunks that have failed are tried again.
+        With `retry`, chunks that have failed are tried again.
 
         Raises:
             ResultsError: The folder belongs to another sweep, or a committed file is missing or has changed.
@@ -105,12 +104,7 @@ class SweepRun:
         self._times[stage] = round(seconds, 1)
 
     def finalise(self, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
-        """Merge the sweep, say how it ended, and finish it unless a chunk has failed.
-
-        Args:
-            say: Prints a line.
-            finish: Called with the results folder of a finished sweep.
-        """
+        """Merge the sweep, say how it ended, and finish its results folder unless a chunk has failed."""
         merged = self._merge()
         for column, number in {"nans": len(merged.nans), **merged.notable}.items():
             if number:

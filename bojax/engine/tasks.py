@@ -83,14 +83,7 @@ class ProgramKey(NamedTuple):
 def tasks_of(
     plan: Plan, chunks: Iterable[Chunk], storage: Storage, *, name_sweep: bool = False
 ) -> list[GroupTask]:
-    """The groups of a sweep that have chunks to run.
-
-    Args:
-        plan: The plan of the sweep.
-        chunks: The chunks to run.
-        storage: Where their rows go.
-        name_sweep: Whether messages name the sweep.
-    """
+    """The groups of a sweep that have some of these chunks to run, whose rows go to the storage."""
     engine = plan.sweep.engine
     by_group: dict[int, deque[Chunk]] = {}
     for chunk in chunks:
@@ -136,12 +129,7 @@ def longest_first(sweeps: Iterable[Sequence[GroupTask]]) -> list[GroupTask]:
 
 
 def progress_of(owned: Mapping[FolderStorage, Sequence[Chunk]], tasks: Sequence[GroupTask]) -> SweepProgress:
-    """The progress of sweeps, with the runs that are done.
-
-    Args:
-        owned: The chunks of each sweep that this process owns.
-        tasks: The groups that have chunks to run.
-    """
+    """The progress of sweeps, with the runs that are done of all chunks that this process owns."""
     num_runs = sum(chunk.num_runs for chunks in owned.values() for chunk in chunks)
     waiting = sum(chunk.num_runs for task in tasks for chunk in task.chunks)
     title = f"{len(owned)} sweeps" if len(owned) > 1 else next(iter(owned)).plan.sweep.name

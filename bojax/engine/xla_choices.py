@@ -49,13 +49,10 @@ def xla_folder() -> Path | None:
 
 
 def read_all(*left_out: Collection[str]) -> Choices:
-    """The choices in XLA's folder, but for those that are left out.
+    """The choices in XLA's folder, but for those of names that are left out.
 
     A sweep asks for each of its programs, and the folder of a reproduction has ten thousand files. So a
     folder is listed again only after a change, and each file is read once in a process.
-
-    Args:
-        left_out: Collections of names.
     """
     folder, found = xla_folder(), {}
     with _reading:
@@ -116,13 +113,7 @@ def _listed(folder: str, prefix: str) -> _Listing:
 
 
 def write(folder: Path, choices: Choices, *, replaces: bool = False) -> None:
-    """Write files as XLA does: whole, under another name first. What cannot be written is left out.
-
-    Args:
-        folder: The folder.
-        choices: The choices.
-        replaces: Whether choices that are there are replaced.
-    """
+    """Write files as XLA does: whole, under another name first. What cannot be written is left out."""
     for name, content in choices.items():
         path, decoded = folder / name, base64.b64decode(content)
         if not _IS_SAFE.fullmatch(name):

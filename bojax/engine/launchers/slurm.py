@@ -132,12 +132,7 @@ class Slurm(Launcher):
             subprocess.run(["scancel", *self._job], capture_output=True, check=False)
 
     def script(self, name: str, folders: Sequence[Path], shares: int) -> str:
-        """The batch script of an array of workers for the sweeps in these folders.
-
-        Args:
-            name: Names of the sweeps.
-            folders: Their folders.
-            shares: Number of shares that the chunks are divided into.
+        """The batch script of an array of workers for the sweeps in these folders, divided into shares.
 
         Raises:
             EngineError: A name or a path has a line break, which would end its line in the script.
