@@ -75,14 +75,8 @@ def vary(
     """A sweep with all its points once for each variation, one variation after the other.
 
     Points of one variant with the same settings are one point, whose runs all these variations share: results
-    depend on settings, seed and number of a run alone.
-
-    Args:
-        source: The sweep: a name, a path, or the content of a file.
-        axis: Name of the column with the numbers of a point's variations, with spaces between.
-        variations: The settings of each variation, by its number.
-        runs: Overrides `runs`.
-        seed: Overrides `seed`.
+    depend on settings, seed and number of a run alone. The variations have numbers; a column named `axis` has
+    those of each point, with spaces between.
     """
     written = read_sweep(source)
     own = load_sweep(source, (), runs, seed)

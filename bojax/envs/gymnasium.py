@@ -332,12 +332,9 @@ def _counted(result: Any) -> str:
 def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> Collection[str]:
     """Check observations and rewards of a few steps under random actions, and that success is reported.
 
-    Args:
-        env: The environment.
-        id: Its id.
-        limit: Number of steps of an episode.
-        dtype: Precision of the rewards.
-        has_own_bounds: Whether all bounds of observations are those that the environment declares.
+    `limit` is the number of steps of an episode, and `dtype` the precision of the rewards; with
+    `has_own_bounds`, all bounds of observations are those that the environment declares. Returns the keys of
+    `info` in these steps.
 
     Returns:
         The keys of `info` in these steps.

@@ -38,13 +38,7 @@ _FINITE = spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary
 
 
 class GymnasiumAdapter(Adapter):
-    """Converts between values of Gymnasium's spaces and those of bojax.
-
-    Args:
-        spaces: Spaces of observations and of actions, as Gymnasium has them.
-        observations: The space of observations of bojax.
-        actions: The space of actions of bojax.
-    """
+    """Converts between values of Gymnasium's spaces, of observations and of actions, and those of bojax."""
 
     def __init__(
         self, spaces: tuple[GymnasiumSpace[Any], GymnasiumSpace[Any]], observations: Space, actions: Space
@@ -97,12 +91,7 @@ def from_gymnasium(
     several discrete parts, which are one-hot. An action of several discrete parts becomes discrete, with one
     element for each combination.
 
-    Args:
-        space: The space.
-        what: `"observation"` or `"action"`, for messages.
-        dtype: Precision of the bounds.
-        low: Lower bound instead of the declared one.
-        high: Upper bound instead of the declared one.
+    `what` is `"observation"` or `"action"`, and the given bounds replace the declared ones.
 
     Raises:
         ValueError: The space cannot be flattened, or an action has discrete and continuous parts, or too many

@@ -31,11 +31,7 @@ MOST_EPISODES = 64
 
 
 def episodes_in_advance(max_steps: int) -> int:
-    """Number of episodes that an advance has at least, of a run that goes on.
-
-    Args:
-        max_steps: Largest number of steps of an episode.
-    """
+    """Number of episodes that an advance has at least, of a run that goes on."""
     return max(1, min(MOST_STEPS // max_steps, MOST_EPISODES))
 
 

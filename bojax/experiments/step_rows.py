@@ -73,10 +73,8 @@ class StepRows(eqx.Module):
     ) -> dict[str, Array]:
         """The rows of successive episodes in `steps.parquet`.
 
-        Args:
-            rows: The steps of all episodes, one episode after the other.
-            lengths: Number of steps of each.
-            episodes: Number of each in its run.
+        The steps of all episodes come one episode after the other; `lengths` are their numbers of steps, and
+        `episodes` their numbers in the run.
         """
         transitions, expected, totals, frames = self._unpacked(rows)
         index, ends = jnp.arange(len(expected), dtype=jnp.int32), jnp.cumsum(lengths)

@@ -77,12 +77,10 @@ class RunFolder:
         return self.work / "choices"
 
     def create(self, plan: Mapping[str, Any] | None, *, may_rename: bool = False) -> None:
-        """Make the folder and its working folder.
+        """Make the folder and its working folder, with the plan unless a worker makes it.
 
-        Args:
-            plan: The plan; None if a worker makes it.
-            may_rename: Whether to append a number to the name if the folder exists, because another sweep
-                started in the same second.
+        With `may_rename`, a number is appended to the name if the folder exists, because another sweep
+        started in the same second.
         """
         with explained(self.path):
             if may_rename:
@@ -119,9 +117,7 @@ class RunFolder:
     def join(self, plan: Mapping[str, Any], device: Mapping[str, Any]) -> None:
         """Commit a worker's plan, or raise a `ResultsError` if it differs from the one that is there.
 
-        Args:
-            plan: The plan.
-            device: Description of the worker's devices, which `device` then returns.
+        `device` describes the worker's devices, which `RunFolder.device` then returns.
         """
         if self.plan() is None:
             self.describe(device)
@@ -218,12 +214,9 @@ class RunFolder:
 
 
 def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, bool]:
-    """The results folder, and whether a sweep is resumed in it.
+    """The results folder, and whether an unfinished sweep is resumed in it.
 
-    Args:
-        name: Name of the sweep.
-        out: Folder given by the user; None for `results/<name>/<timestamp>`.
-        resume: Whether to resume an unfinished sweep, in `out` or in the newest unfinished folder.
+    It is the given one, or else a new `results/<name>/<timestamp>`, or the newest unfinished one to `resume`.
 
     Raises:
         NothingToResume: There is no unfinished sweep.

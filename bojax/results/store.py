@@ -176,10 +176,7 @@ def read_json(path: Path) -> Any:
 def write_checked_json(path: Path, content: Mapping[str, Any], name: str | None = None) -> None:
     """Write a mapping as a JSON file with a checksum, in one line: Python is slow to indent.
 
-    Args:
-        path: The file.
-        content: The mapping.
-        name: Name under which the file is read, if it is another one: another file's content is refused.
+    `name` is that under which the file is read, if it is another one: another file's content is refused.
     """
     plain = _finite(dict(content))
     write_json(path, {**plain, CHECKSUM: _digest(plain, name or path.name)}, indent=None)

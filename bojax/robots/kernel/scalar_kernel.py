@@ -14,14 +14,9 @@ MOST_SCALARS = 40_000
 
 
 class ScalarKernel:
-    """A function as a kernel of its scalars.
+    """A function of trees of arrays for a single lane as a kernel of its scalars.
 
     A lane has a warp of its own, since Triton compiles scalars in seconds but vectors of 32 lanes in minutes.
-
-    Args:
-        function: A function of trees of arrays for a single lane.
-        examples: Its arguments, as arrays or as their shapes and dtypes.
-        name: Name of the kernel, for profilers.
 
     Raises:
         NotScalar: As for `ScalarProgram`.
