@@ -18,7 +18,6 @@ class Test(Registered, frozen=True):
 
     role: ClassVar[str] = "test"
     target: ClassVar[str]
-    model_config = pydantic.ConfigDict(serialize_by_alias=True)
 
     by: Literal["label", "variant"] = Field(
         default="label",
@@ -49,8 +48,6 @@ class Test(Registered, frozen=True):
 
 class Window(Schema, frozen=True):
     """Episodes over which a column of episodes.parquet is averaged within a run."""
-
-    model_config = pydantic.ConfigDict(serialize_by_alias=True)
 
     first: int = Field(alias="from", ge=1, description="first episode, counted from 1")
     last: int = Field(alias="to", ge=1, description="last episode, inclusive")
@@ -85,8 +82,6 @@ EntryClass = Literal["claim", "variant", "check"]
 
 class Claim(Schema, frozen=True):
     """One statement, with the test that decides it."""
-
-    model_config = pydantic.ConfigDict(serialize_by_alias=True)
 
     id: str = Field(min_length=1, description="unique in the sweep")
     source: str = Field(description="figure or table, and page")

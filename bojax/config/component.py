@@ -24,7 +24,9 @@ RECORDED = object()
 class Schema(pydantic.BaseModel, frozen=True):
     """A mapping of settings without unknown keys, NaN or infinity; only integers are converted, to floats."""
 
-    model_config = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+    model_config = pydantic.ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, defer_build=True, serialize_by_alias=True
+    )
 
     @pydantic.model_validator(mode="before")
     @classmethod

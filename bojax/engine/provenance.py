@@ -1,5 +1,6 @@
 """Provenance of results: versions, git revision, devices, and hashes of the code."""
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
@@ -59,16 +60,11 @@ def versions() -> dict[str, str]:
 
 def installed(packages: Iterable[str]) -> dict[str, str]:
     """Versions of those packages that are installed."""
-    found = {package: _installed_version(package) for package in packages}
-    return {package: version for package, version in found.items() if version is not None}
-
-
-@functools.cache
-def _installed_version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+    versions = {}
+    for package in packages:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions[package] = importlib.metadata.version(package)
+    return versions
 
 
 @functools.cache

@@ -17,7 +17,6 @@ from bojax.engine.chunks import Chunk
 from bojax.engine.devices import prepare
 from bojax.engine.errors import EngineError
 from bojax.engine.plan import plain, plan_made_elsewhere
-from bojax.engine.signals import StopRequest
 from bojax.engine.sweep_run import Invocation, SweepRun
 from bojax.engine.targets import Target, plan_unfinished
 from bojax.errors import FAILURE
@@ -240,11 +239,6 @@ def _wait(waiting: list[_Remote], invocation: Invocation, launcher: Launcher) ->
                 _finalise(remote, invocation)
         if left is not None and (launcher.all_refused or time.monotonic() - left > LATE_SECONDS):
             return
-        if waiting:
-            _sleep(POLL_SECONDS, invocation.stop)
-
-
-def _sleep(seconds: float, stop: StopRequest) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end and not stop:
-        time.sleep(0.05)
+        end = time.monotonic() + POLL_SECONDS
+        while waiting and time.monotonic() < end and not invocation.stop:
+            time.sleep(0.05)

@@ -29,7 +29,7 @@ from bojax.engine.plan import Plan
 from bojax.experiments.base import Carry
 from bojax.numerics import checkpoint
 from bojax.results.attempts import AttemptRegistry
-from bojax.results.chunk_folder import ChunkFolder, ChunkState, Staged
+from bojax.results.chunk_folder import ChunkFolder, ChunkState
 from bojax.results.folder import Launch, RunFolder
 from bojax.results.store import ResultsError, write_content
 from bojax.text import error_line
@@ -121,7 +121,7 @@ class FolderSink(Sink):
         content, self._learned = self._learned.stacked(), learners.Learned()
         return [checkpoint.save(self._files.add_learners(), content)]
 
-    def _end(self, saved: list[Callable[[], None]], staged: Staged) -> None:
+    def _end(self, saved: list[Callable[[], None]], staged: tuple[ChunkState, list[str]]) -> None:
         for end in saved:
             end()
         self._files.commit(staged)

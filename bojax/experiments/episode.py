@@ -80,6 +80,7 @@ def apply_transition(
 
 def where(condition: Bool[Array, ""], new: T, old: T) -> T:
     """The new tree where a condition holds, else the old one; what is not new is passed on as it is."""
+    # A select of it would use a key twice.
     return jax.tree.map(lambda n, o: o if n is o else jnp.where(condition, n, o), new, old)
 
 

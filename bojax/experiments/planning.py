@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -11,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from typing_extensions import override
 
 from bojax.experiments.base import Experiment, Records
+from bojax.experiments.episode import where
 from bojax.planning.base import Planner
 from bojax.problems.base import Belief, Problem, Record, World
 from bojax.results.schema import Table
@@ -96,7 +96,7 @@ class PlanningEpisode(Experiment):
     @override
     def advance(self, carry: PlanningState) -> tuple[PlanningState, Records]:
         # A finished lane advances with the others, since a branch would be computed in every lane;
-        # `keep_finished` at the end keeps its old state, and its row is not valid.
+        # `where` at the end keeps its old state, and its row is not valid.
         active, problem = ~carry.is_done, self.problem
         key_plan, key_execute, key_update = self._keys(carry)
         plan = self.planner.plan(key_plan, problem, carry.belief)
@@ -110,7 +110,7 @@ class PlanningEpisode(Experiment):
         # nothing to select.
         if events.failed is not None:
             reward = jnp.where(failed, jnp.nan, reward)
-            world, belief = keep_finished(~failed, (world, belief), (carry.world, carry.belief))
+            world, belief = where(~failed, (world, belief), (carry.world, carry.belief))
 
         step = carry.step + 1
         done = events.terminated | failed | (step >= problem.max_steps)
@@ -142,7 +142,7 @@ class PlanningEpisode(Experiment):
         }
         columns = {column.name: row[column.name][None] for column in problem.step_columns}
         records = Records({"steps": {**columns, "valid": active[None]}}, active.astype(jnp.int32))
-        return keep_finished(active, after, carry), records
+        return where(active, after, carry), records
 
     @override
     def is_done(self, carry: PlanningState) -> Bool[Array, ""]:
@@ -168,12 +168,3 @@ class PlanningEpisode(Experiment):
         key_execute = jax.random.fold_in(carry.key_world, carry.step + 1)
         key_plan, key_update = jax.random.split(jax.random.fold_in(carry.key_planner, carry.step + 1))
         return key_plan, key_execute, key_update
-
-
-T = TypeVar("T")
-
-
-def keep_finished(active: Bool[Array, ""], after: T, before: T) -> T:
-    """The new state where a lane is active, the old one where it has finished."""
-    # Leaves that an advance does not change are not selected: a select would use a key twice.
-    return jax.tree.map(lambda a, b: a if a is b else jnp.where(active, a, b), after, before)

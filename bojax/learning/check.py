@@ -12,6 +12,7 @@ from bojax.envs.spaces import Discrete, Space
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.schedules import Schedule
 from bojax.models.checks import is_known
+from bojax.numerics.simulation_keys import is_key
 from bojax.numerics.trial import (
     Misfit,
     computed,
@@ -169,18 +170,13 @@ def _idle(learner: Learner, observations: Space, actions: Space, key: Key[Array,
     }
     exported, own_key = learner.policy_state(_copy(state)), keys[8]
     acted = learner.act(jax.random.clone(own_key), exported, before, idles)[0]
-    numbers = jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, (state, afters))
+    numbers = jax.tree.map(lambda x: jax.random.key_data(x) if is_key(x) else x, (state, afters))
     return *numbers, (learner.act(own_key, _copy(state), before, idles)[0], acted)
 
 
 def _copy(state: Any) -> Any:
     """The same arrays in containers of their own, which a method may change in place."""
-    return jax.tree.map(lambda x: jax.random.clone(x) if _is_key(x) else x, state)
-
-
-def _is_key(leaf: Any) -> bool:
-    """Whether an array holds keys of JAX, which NumPy has no type for, and which are used once."""
-    return jnp.issubdtype(getattr(leaf, "dtype", float), jax.dtypes.prng_key)
+    return jax.tree.map(lambda x: jax.random.clone(x) if is_key(x) else x, state)
 
 
 def _check_exploration(schedule: Schedule) -> None:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from bojax.envs.base import Action, Observation
 from bojax.learning.base import Episode
 from bojax.numerics.lanes import batched_together, largest_in_lanes
+from bojax.numerics.simulation_keys import random_index
 
 T = TypeVar("T")  # A tree of arrays with one row for each transition, and of counts
 
@@ -197,10 +198,7 @@ class ReplayPool(eqx.Module):
 
     def draw(self, key: Key[Array, ""], number: int) -> Int[Array, "N"]:
         """Rows of `number` transitions, drawn uniformly with replacement; row 0 if the pool is empty."""
-        # `randint` with a bound that is not constant takes seconds to compile.
-        draws = jax.random.uniform(key, (number,), jnp.float32)
-        rows = (draws * self.size.astype(jnp.float32)).astype(jnp.int32)
-        return jnp.clip(rows, 0, jnp.maximum(self.size - 1, 0))
+        return random_index(key, self.size, (number,))
 
     def add(self, memory: Memory, is_kept: Bool[Array, ""]) -> "ReplayPool":
         """The pool with the transitions of a memory appended if `is_kept`."""

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
+from bojax.numerics.simulation_keys import is_key
 from bojax.results.store import ResultsError, explained
 from bojax.text import error_line
 
@@ -121,7 +122,7 @@ def _rebuilt(found: Mapping[str, Any], structure: PyTree[jax.ShapeDtypeStruct]) 
         target = _target(leaf)
         values = found[name] if leaf.size else jnp.empty(target.shape, target.dtype)
         array = jax.device_put(values, target.sharding)
-        return jax.random.wrap_key_data(array, impl=_key_impl(leaf)) if _is_key(leaf) else array
+        return jax.random.wrap_key_data(array, impl=_key_impl(leaf)) if is_key(leaf) else array
 
     leaves = [leaf_of(name, leaf) for name, leaf in _named(structure)]
     return jax.tree.unflatten(jax.tree.structure(structure), leaves)
@@ -141,15 +142,11 @@ def _named(tree: PyTree) -> list[tuple[str, Any]]:
 
 
 def _plain(leaf):
-    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
+    return jax.random.key_data(leaf) if is_key(leaf) else leaf
 
 
 def _key_impl(target: jax.ShapeDtypeStruct) -> str:
     return str(jax.random.key_impl(jnp.empty(0, target.dtype)))
-
-
-def _is_key(leaf) -> bool:
-    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 # Orbax: how it is called, and what it says.

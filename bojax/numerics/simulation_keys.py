@@ -82,6 +82,11 @@ _IMPLEMENTATION = jex.random.define_prng_impl(
 )
 
 
+def is_key(x: Any) -> bool:
+    """Whether an array, or what is known of one, has keys rather than numbers."""
+    return jnp.issubdtype(getattr(x, "dtype", float), jax.dtypes.prng_key)
+
+
 def simulation_key(key: Key[Array, ""]) -> Key[Array, ""]:
     """The key of a simulation, seeded by a key of any kind, see `takes_simulation_keys`."""
     return jax.random.wrap_key_data(jax.random.bits(key, (2,), jnp.uint32), impl=_IMPLEMENTATION)
@@ -100,8 +105,9 @@ def takes_simulation_keys(draw: Callable[[Key[Array, ""]], Any]) -> bool:
     return "random_gamma" not in str(program)
 
 
-def random_index(key: Key[Array, ""], count: Int[Array, ""]) -> Int[Array, ""]:
-    """An integer below `count`, uniform up to the resolution of float32; 0 if `count` is 0."""
-    # `jax.random.randint` draws twice and divides, to be exact for a range of any size.
-    draw = jax.random.uniform(key, (), jnp.float32) * count.astype(jnp.float32)
+def random_index(key: Key[Array, ""], count: Int[Array, ""], shape: tuple[int, ...] = ()) -> Int[Array, "*S"]:
+    """Integers below `count`, uniform up to the resolution of float32; 0 if `count` is 0."""
+    # `jax.random.randint` draws twice and divides, to be exact for a range of any size, and takes seconds to
+    # compile if the bound is not constant.
+    draw = jax.random.uniform(key, shape, jnp.float32) * count.astype(jnp.float32)
     return jnp.clip(draw.astype(jnp.int32), 0, jnp.maximum(count - 1, 0))

@@ -65,14 +65,6 @@ class ChunkState:
         return replace(self, **lists)
 
 
-@dataclass(frozen=True)
-class Staged:
-    """What a commit covers."""
-
-    state: ChunkState  # the progress at that moment
-    names: list[str]  # files and folders that have been added since the last commit
-
-
 class ChunkFolder:
     """Pieces of tables `piece-<number>-<table>.parquet`, snapshots, learners, checkpoints, and `state.json`.
 
@@ -156,16 +148,14 @@ class ChunkFolder:
         """The folder of the learners of runs that have finished since the last commit."""
         return self.add(f"{_LEARNERS}{self.state.advances:08d}")
 
-    def stage(self) -> Staged:
-        """What a commit covers that begins now, and ends after further files have been added."""
-        staged = Staged(self.state.copy(), self._new)
-        self._new = []
-        return staged
+    def stage(self) -> tuple[ChunkState, list[str]]:
+        """The progress, and what has been added since the last commit: a commit that begins now covers it."""
+        names, self._new = self._new, []
+        return self.state.copy(), names
 
-    def commit(self, staged: Staged | None = None) -> None:
+    def commit(self, staged: tuple[ChunkState, list[str]] | None = None) -> None:
         """Commit what is staged, by default everything; a checkpoint that is not the last one is dropped."""
-        staged = staged or self.stage()
-        state, names = staged.state, staged.names
+        state, names = staged or self.stage()
         files = {
             name: found
             for name, found in self.state.files.items()

@@ -87,7 +87,8 @@ def merge(
     for source, target in moves:
         if source != target:  # otherwise an earlier merge has moved it
             with explained(target):
-                _move(source, target)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(source, target)
     return Merged(
         files=files,
         errors={
@@ -206,11 +207,6 @@ def _first_run(footer: pq.FileMetaData) -> int:
     return _key(first, min(each.min for each in of_run) if first == last else 0)
 
 
-def _move(source: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    os.replace(source, target)
-
-
 def _labelled(table: pa.Table, points: Sequence[Mapping[str, Any]]) -> pa.Table:
     return table.add_column(1, "label", _of_point(table, [point["label"] for point in points], pa.string()))
 
@@ -228,8 +224,7 @@ def _runs(table: pa.Table, points: Sequence[Mapping[str, Any]], seed: int, nans:
         columns[key] = _of_point(table, values, kind)
     columns["run"] = table["run"]
     columns["seed"] = pa.array(np.full(table.num_rows, seed, dtype=np.int64))
-    scalars = {name: table[name] for name in table.column_names if name not in ("point", "run")}
-    columns |= scalars
+    columns |= {name: table[name] for name in table.column_names if name not in ("point", "run")}
     columns["nans"] = pa.array([nans.get(key, 0) for key in zip(*keys, strict=True)], pa.int64())
     fields = [
         table.schema.field(name) if name in table.column_names else pa.field(name, column.type)
@@ -244,12 +239,10 @@ def _of_point(table: pa.Table, values: Sequence[Any], kind: pa.DataType) -> pa.A
 
 def _column(values: Sequence[Any]) -> tuple[list[Any], pa.DataType]:
     """Swept values and their Arrow type: Booleans, integers and floats stay, all others become text."""
-    given = [value for value in values if value is not None]
-    if given and all(isinstance(value, bool) for value in given):
-        return list(values), pa.bool_()
-    if given and all(isinstance(value, int) and not isinstance(value, bool) for value in given):
-        return list(values), pa.int64()
-    if given and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
+    given = {type(value) for value in values if value is not None}
+    if given in ({bool}, {int}):
+        return list(values), pa.bool_() if given == {bool} else pa.int64()
+    if given in ({float}, {int, float}):
         return [None if value is None else float(value) for value in values], pa.float64()
     return [
         value if value is None or isinstance(value, str) else json.dumps(value) for value in values

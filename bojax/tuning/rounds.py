@@ -74,8 +74,7 @@ def run_rounds(
         least = begun * task.batch * task.config.runs
         raise ResultsError(f"{folder}: has more rounds than --budget pays for; allowed: >= {least}")
     for key in task.recompiled:
-        note = f"note: {key} fixes the shape of a program; each of its values is compiled anew"
-        say(note)
+        say(f"note: {key} fixes the shape of a program; each of its values is compiled anew")
     if not any(word == "--out" or word.startswith("--out=") for word in command):
         command = [*command, "--out", str(folder)]
     files, is_done = RunFolder(folder), False

@@ -26,7 +26,7 @@ from jax.extend.random import threefry_prng_impl
 from jax.lax import GatherScatterMode
 
 from bojax.numerics.pallas import fused_product
-from bojax.numerics.simulation_keys import threefry
+from bojax.numerics.simulation_keys import is_key, threefry
 
 
 class NotScalar(Exception):
@@ -186,7 +186,7 @@ class _Tracing:
 
     def inputs(self, aval: Any) -> np.ndarray:
         """An array of unknown scalars: an argument, or the carry of a loop."""
-        if _is_key(aval):
+        if is_key(aval):
             raise NotScalar("a key as an argument")
         if aval.size > self._most:  # before they are made
             raise NotScalar("too many scalars")
@@ -265,7 +265,7 @@ class _Tracing:
 
     def evaluate(self, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
         """The results of a traced function; an array of known numbers alone is an array of NumPy."""
-        words = (jax.random.key_data(x) if _is_key(x) else x for x in consts)
+        words = (jax.random.key_data(x) if is_key(x) else x for x in consts)
         values = dict(zip(jaxpr.constvars, map(np.asarray, words), strict=True))
         values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
@@ -283,7 +283,7 @@ class _Tracing:
         for called in ("jaxpr", "call_jaxpr", "call"):
             if called in params and name not in _OF_FUNCTIONS:
                 return self.evaluate(*_opened(params[called]), arrays)
-        is_of_keys = any(_is_key(v.aval) for v in (*eqn.invars, *eqn.outvars))
+        is_of_keys = any(is_key(v.aval) for v in (*eqn.invars, *eqn.outvars))
         if not eqn.outvars or (is_of_keys and name not in _OF_KEYS):
             raise NotScalar(f"{name}, of keys or without results")
         aval = _of_words(eqn.outvars[0].aval)
@@ -820,12 +820,7 @@ def _bounds(dtype: np.dtype) -> tuple[Any, Any]:
 
 def _of_words(aval: Any) -> Any:
     """What is known of an array, or of the words of one of keys."""
-    return jax.ShapeDtypeStruct((*aval.shape, 2), np.dtype(np.uint32)) if _is_key(aval) else aval
-
-
-def _is_key(x: Any) -> bool:
-    """Whether an array, or what is known of one, has keys rather than numbers."""
-    return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+    return jax.ShapeDtypeStruct((*aval.shape, 2), np.dtype(np.uint32)) if is_key(aval) else aval
 
 
 def _opened(traced: Any) -> tuple[Any, Sequence[Any]]:
