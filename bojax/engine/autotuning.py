@@ -52,9 +52,6 @@ class Choices:
     Each program has a file there, written by the first process that compiles it: a hash of what XLA made of
     the program, and the choices that were new to the folder. Programs are compiled with the choices of all
     files.
-
-    Attributes:
-        folder: The folder, which is created with the first program.
     """
 
     def __init__(self, folder: Path):

@@ -231,12 +231,7 @@ class Programs:
         return self._programs[name](*jax.tree.leaves(inputs))
 
     def place(self, positions: np.ndarray, runs: np.ndarray) -> Lanes:
-        """Put the inputs of all lanes on the device.
-
-        Args:
-            positions: For each lane, the position of its point among the points of the group.
-            runs: For each lane, the index of its run.
-        """
+        """Put the inputs of all lanes on the device: of each, its point in the group and index of its run."""
         lanes = (runs.astype(np.int32), self._group.swept_at(positions))
         return Lanes(*jax.device_put(lanes, self._sharding))
 

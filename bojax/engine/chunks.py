@@ -63,13 +63,9 @@ class Layout:
 
 
 def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: int | None) -> Layout:
-    """The layout of a group.
+    """The layout of a group, given one of its experiments, and the number of runs of all its points.
 
-    Args:
-        experiment: An experiment of the group.
-        num_runs: Number of runs of all points of the group.
-        platform: Platform of the devices, such as "cpu".
-        given: Number of lanes chosen by the user; None for the default.
+    `given` is the number of lanes chosen by the user; None for the default.
     """
     is_cpu = platform == "cpu"
     limit = given or (experiment.lanes_on_cpu if is_cpu else experiment.lanes_on_gpu)

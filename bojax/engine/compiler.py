@@ -32,10 +32,7 @@ def compile_threads() -> int:
 class BackgroundCompiler:
     """Compiles the programs of groups in threads, each at most once until they are dropped.
 
-    Args:
-        compile: Compiles programs, or loads them.
-        changed: Notified whenever a compilation has ended.
-        stop: Whether a stop is requested; no compilation is started after that.
+    `changed` is notified whenever a compilation has ended; after a requested stop, none is started.
     """
 
     def __init__(

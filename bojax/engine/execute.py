@@ -43,14 +43,9 @@ def execute(
 ) -> Iterator[GroupTask]:
     """Run the chunks of all tasks, and yield each task when all its chunks are done or have failed.
 
-    After a requested stop, the chunks that run are paused at a checkpoint, and no further task is yielded.
-
-    Args:
-        tasks: The groups with their chunks, in the order of compiling and running them.
-        workers: The device of each worker thread.
-        progress: Where progress is reported.
-        stop: Whether a stop is requested.
-        processes: Child processes that compile already; by default some are started if that is worth it.
+    Each of the workers is a thread with a device. After a requested stop, the chunks that run are paused at a
+    checkpoint, and no further task is yielded. Without child processes that compile already, some are started
+    if that is worth it.
 
     Raises:
         ResultsError: A sink cannot be written or read. All other chunks are paused first.

@@ -69,10 +69,8 @@ class DeviceMemory:
     def held(self, needed: int | None) -> Iterator[None]:
         """Hold memory while this context is open, once it is free.
 
-        While a chunk waits, no other one is given memory: small ones do not keep a large one waiting.
-
-        Args:
-            needed: Number of bytes; None, or more than there are, for a chunk that runs alone.
+        While a chunk waits, no other one is given memory: small ones do not keep a large one waiting. A chunk
+        that needs None, or more bytes than there are, runs alone.
         """
         needed = self._limit if needed is None else min(needed, self._limit)
         with self._turn, self._changed:

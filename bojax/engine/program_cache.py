@@ -63,10 +63,8 @@ _KNOWN = {*sys.stdlib_module_names, *PACKAGES}
 def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
     """Name of the programs of a group on a device; None if they cannot be cached.
 
-    Args:
-        group: The group. The values of its arrays are inputs of the programs, and not part of the name.
-        device: The device. All devices of its kind have the same programs.
-        details: What else the programs depend on, such as the number of lanes.
+    The values of the arrays of the group are inputs of the programs, and not part of the name. All devices of
+    a kind have the same programs. `details` are what else they depend on, such as the number of lanes.
     """
     content = _digest_of(group, *details)
     if content is None or folder_of(PROGRAMS) is None:

@@ -72,11 +72,8 @@ class Launcher(abc.ABC):
     def start(self, name: str, folders: Sequence[Path], groups: int, chunks: int) -> None:
         """Start workers for the sweeps in these folders, or give these sweeps to those that wait for work.
 
-        Args:
-            name: Names of the sweeps.
-            folders: Their folders, with the launch already written.
-            groups: Number of static groups that have chunks left, of all sweeps.
-            chunks: Number of chunks that are left; an upper bound as long as no worker has planned a sweep.
+        The folders have the launch already. `groups` counts the static groups of all sweeps that have chunks
+        left, and `chunks` these chunks: an upper bound as long as no worker has planned a sweep.
 
         Raises:
             EngineError: They cannot be started.

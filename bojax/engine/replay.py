@@ -23,13 +23,7 @@ PICTURE = "rgb_array"
 class Replay:
     """A training episode of a Gymnasium environment, from its seed and its recorded actions.
 
-    Args:
-        env: The settings of the environment.
-        dtype: Precision of the experiment.
-        seed: Seed of the results.
-        run: Index of the run.
-        episode: Number of the episode, from 1.
-        starts: Whether every episode has a start of its own, as the experiment's setting `starts`.
+    Episodes count from 1; `starts` is the setting of the experiment.
 
     Raises:
         ResultsError: The environment draws no pictures.

@@ -19,14 +19,10 @@ a CPU both share the cores.
 
 
 class Scheduler:
-    """The groups with chunks that are left.
+    """The groups with chunks that are left, in the order of compiling and running them.
 
-    Args:
-        tasks: The groups, in the order of compiling and running them. They get their ranks.
-        devices: The devices.
-        is_requested: Whether the compilation of programs was requested.
-        is_ready: Whether programs, or an error in their place, are there.
-        is_saved: Whether programs are in the cache.
+    Programs are requested, then ready once they are there, or an error in their place; some are saved in the
+    cache.
     """
 
     def __init__(

@@ -46,15 +46,8 @@ def run_advances(
 ) -> Advances:
     """Advance all lanes until they are done, a limit is reached, or a stop is requested.
 
-    Args:
-        programs: The compiled programs.
-        carry: The carry to start from; its buffers are donated.
-        lanes: Inputs of the lanes.
-        recorded: Lanes whose runs are recorded.
-        most: Maximum number of advances.
-        most_bytes: Size of records after which no further advance is issued.
-        seconds: Wall time after which no further advance is issued.
-        stop: Whether a stop is requested, checked after each advance.
+    The buffers of the carry are donated. After `most_bytes` of records or `seconds`, no further advance is
+    issued.
     """
     start = time.perf_counter()
     records: list[Any] = []
@@ -92,13 +85,8 @@ def fetch_rows(
 ) -> dict[str, Rows]:
     """The valid rows of the records of advances, `{table: {column: [rows]}}`, with the point and run of each.
 
-    Args:
-        records: The tables of each advance, columns `[lanes, rows]`, as from `Programs.recorded`.
-        tables: Schemas of the tables.
-        points: Point of each lane.
-        runs: Run of each lane; the rows of lanes without a run, -1, are left out.
-        recorded: Lanes whose runs are recorded.
-        of_recorded: Tables of recorded runs only.
+    Records are tables with columns `[lanes, rows]`, as from `Programs.recorded`. Lanes without a run, -1, are
+    left out; the tables `of_recorded` have rows of recorded runs only.
     """
     fetched = jax.device_get(list(records))  # one call for all advances: the copies overlap
     rows: dict[str, Rows] = {}

@@ -76,11 +76,8 @@ def plan_unfinished(
 ) -> list[tuple[Target, Plan]]:
     """Plan all sweeps, the longest first, and return those that are not finished yet, with their plans.
 
-    Args:
-        targets: The sweeps with their folders.
-        devices: The devices of this process.
-        finish: Called with the results folder of each sweep that is finished already.
-        begins: Called with the plan of each sweep that begins, as soon as it is planned.
+    `finish` is called with the folder of each sweep that is finished already, `begins` with each plan when it
+    is made.
 
     Raises:
         ConfigError: A sweep cannot be built.

@@ -12,10 +12,6 @@ class Adapter:
     """Converts between an environment's own values and vectors or integers from 0, one at a time.
 
     The environments of bojax have these values themselves; one of another library overrides the methods.
-
-    Attributes:
-        observations: Space of observations of bojax.
-        actions: Space of actions of bojax.
     """
 
     def __init__(self, observations: Space, actions: Space):

@@ -26,10 +26,6 @@ class BraxEnv(Env):
     Brax. The name may have been registered by `brax.envs.register_environment`.
 
     Settings: `bojax.envs.settings.Brax`.
-
-    Attributes:
-        observation_size: Number of dimensions of an observation.
-        action_size: Number of dimensions of an action.
     """
 
     low: Float[Array, "..."]

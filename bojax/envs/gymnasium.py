@@ -103,10 +103,6 @@ class HostEnv(Env):
     own time limit is removed, so that truncation comes from the environment itself.
 
     Settings: `bojax.envs.settings.Gymnasium`.
-
-    Attributes:
-        observations: Space of observations.
-        actions: Space of actions.
     """
 
     is_hosted: ClassVar[bool] = True

@@ -13,12 +13,7 @@ from bojax.envs.spaces import Box, Space
 
 
 class Episode(eqx.Module):
-    """The state of an environment within an episode.
-
-    Attributes:
-        state: State of the environment.
-        time: Number of steps since the reset.
-    """
+    """The state of an environment within an episode."""
 
     state: EnvState
     time: Int[Array, ""]

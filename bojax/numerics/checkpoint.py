@@ -41,10 +41,6 @@ def save(folder: Path, content: Mapping[str, Any]) -> Callable[[], None]:
 
     The arrays may be given away as soon as this returns.
 
-    Args:
-        folder: The folder, which must not exist.
-        content: The arrays, also in nested dictionaries.
-
     Returns:
         A function that waits for the end; it raises a `ResultsError` as `save` does.
 
@@ -74,10 +70,7 @@ def restore(
 ) -> PyTree[Array]:
     """Read a tree of the given structure; a leaf without a sharding is placed on the first device.
 
-    Args:
-        folder: Folder to which the `arrays` of a tree were saved.
-        structure: Shapes, dtypes and shardings of the leaves.
-        advice: Advice that ends the error message; by default, how to resume without this checkpoint.
+    `advice` ends the error message; by default, it says how to resume without this checkpoint.
 
     Raises:
         ResultsError: The folder is missing, damaged, or holds a tree of another structure.

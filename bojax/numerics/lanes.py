@@ -36,12 +36,7 @@ def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
 
 
 def in_own_kernel(flag: Bool[Array, "..."], turn: Int[Array, ""]) -> Bool[Array, "..."]:
-    """`flag`, as the condition of a loop that carries it, in a form that a GPU has to compute.
-
-    Args:
-        flag: Whether the loop goes on.
-        turn: Number of the turn, from 0.
-    """
+    """`flag`, the condition of a loop that carries it, in a form that a GPU has to compute in each turn."""
     # With one lane, the flag of the carry is the condition, and nothing is left to compute. In a CUDA graph,
     # XLA (of JAX 0.11.2) would then read it too early: the kernel that reads a condition waits only for those
     # that compute it. XLA does not know that a turn is never negative, so the comparison stays.

@@ -25,11 +25,8 @@ T = TypeVar("T")
 def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
     """Trace a check of a part, unless its class belongs to bojax.
 
-    Args:
-        part: The part.
-        check: Calls the methods of the part, and `require` with what they return. JAX caches the trace of a
-            module-level function, which parts share if they differ only in numbers.
-        arguments: Arguments of `check` after the part.
+    `check` calls the methods of the part, and `require` with what they return. JAX caches the trace of a
+    module-level function, which parts share if they differ only in numbers.
 
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
@@ -48,11 +45,7 @@ def check_names(cls: type, base: type, overridable: Collection[str]) -> None:
     """Raise a TypeError if a user's class gives another meaning to a method or property of its base class.
 
     A helper that has the name of a method by chance would be called in its place. Classes of bojax pass.
-
-    Args:
-        cls: The user's class.
-        base: Its base class, one of bojax.
-        overridable: Names that a subclass may define; whether what it defines fits is checked elsewhere.
+    Whether what defines an overridable name fits is checked elsewhere.
     """
     names = () if cls.__module__.startswith("bojax.") else (*vars(cls), *vars(cls).get("__annotations__", ()))
     for name in dict.fromkeys(names):
@@ -77,9 +70,7 @@ def check_names(cls: type, base: type, overridable: Collection[str]) -> None:
 def computed(function: Callable[..., Any], *parts: Any) -> Any:
     """What a function of parts and a key returns, as NumPy arrays, or a `Misfit` if it is not pure.
 
-    Args:
-        function: A module-level function of arrays alone, so that its program is kept.
-        parts: Modules whose arrays are known.
+    It is a module-level function, so that its program is kept; the arrays of the parts are known.
     """
     require_equal_traces(function, *parts)
     _, program, structure = _traced(function, *shapes(parts))

@@ -78,10 +78,7 @@ class ChunkFolder:
     def __init__(self, path: Path, results: Path, chunk: str | None = None):
         """Create an object for a folder that exists, without reading it.
 
-        Args:
-            path: The folder.
-            results: The results folder, to which merging moves snapshots.
-            chunk: Name of the chunk; by default, the name of the folder.
+        Merging moves snapshots to the results folder. The name of the chunk is by default that of the folder.
         """
         self.path = path
         self.state = ChunkState()  # as committed, with the changes since then

@@ -65,13 +65,8 @@ def merge(
     The tables depend only on the rows of the pieces, which are sorted: an interrupted and resumed sweep gives
     the same bytes as an uninterrupted one.
 
-    Args:
-        folder: The results folder.
-        chunks: Group and point of all chunks of the sweep in order, by their names; the point is -1 for
-            several.
-        names: Names of the tables.
-        points: `label`, `variant` and `swept` values of all points of the sweep.
-        seed: Seed of the sweep.
+    All chunks of the sweep in order have their group and their point, -1 for several; each of its points has
+    its `label`, `variant` and `swept` values.
 
     Raises:
         ResultsError: A committed file is missing or has changed; in this case nothing is written.

@@ -136,12 +136,6 @@ def constrained(
     is reached.
 
     Deviation: `ls_iterations` and `tolerance` have no influence.
-
-    Args:
-        model: Model of MJX.
-        data: Data of MJX, with the unconstrained accelerations and the rows of the constraints.
-        inertia: The inertia matrix M.
-        search: Line search.
     """
     efc = data._impl
     jacobian, stiffness = efc.efc_J, efc.efc_D

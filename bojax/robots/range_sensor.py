@@ -28,9 +28,7 @@ _GOLDEN_ANGLE = np.pi * (3.0 - 5.0**0.5)
 def cone(opening: Float[Array, ""], num_rays: int) -> Float[Array, "K 3"]:
     """Unit vectors evenly distributed over a cone about -z, the first on its axis, the last on its rim.
 
-    Args:
-        opening: Full opening angle of the cone, in rad.
-        num_rays: Number of rays.
+    The opening is the full angle, in rad.
     """
     index = np.arange(num_rays)
     radius = jnp.asarray(np.sqrt(index / max(num_rays - 1, 1)), opening.dtype)

@@ -51,15 +51,11 @@ with the same share, unless its task has been requeued before."""
 
 
 class Slurm(Launcher):
-    """Submits an array and returns, or waits for it.
+    """Submits an array and returns, or waits for it, and cancels it if the driver is interrupted.
 
     Each task of the array runs a share of the chunks, and `tasks` of them at a time. A task that nears its
     time limit, or whose node or worker is lost, is started again. A cancelled task stops at a checkpoint, and
     is not started again.
-
-    Args:
-        config: The settings.
-        waits: Whether the driver waits for the array. The array is cancelled if the driver is interrupted.
     """
 
     def __init__(self, config: SlurmConfig, *, waits: bool = False):

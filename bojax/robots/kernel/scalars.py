@@ -45,12 +45,7 @@ class Scalar:
 
 
 class ScalarProgram:
-    """A function of scalars, on values of any one shape.
-
-    Attributes:
-        inputs: The elements of the arguments.
-        outputs: The elements of the results.
-    """
+    """A function of scalars, on values of any one shape."""
 
     def __init__(
         self,
