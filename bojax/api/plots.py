@@ -137,9 +137,8 @@ def _drawn(grid: jax.Array, evaluated: Any, x: np.ndarray, y: np.ndarray, title:
     mean, std, draws, score = (None if part is None else np.asarray(part) for part in evaluated)
     assert mean is not None and std is not None and draws is not None
     posterior = _Posterior(np.asarray(grid), mean, std, draws, score, x, y)
-    is_line = grid.shape[1] == 1
     with style.settings():
-        if is_line:
+        if grid.shape[1] == 1:
             figure, caption = _draw_line(posterior)
         else:
             figure, caption = _draw_maps(posterior)

@@ -54,8 +54,7 @@ class SurveyResult:
         """Its longitudes and latitudes, `[W, 2]`; None for an area without a place on the Earth."""
         if "longitude" not in self._table.column_names:
             return None
-        columns = [self._table[name].to_numpy() for name in ("longitude", "latitude")]
-        return np.stack(columns, axis=1)
+        return np.stack([self._table[name].to_numpy() for name in ("longitude", "latitude")], axis=1)
 
     @property
     def candidates(self) -> list[dict[str, Any]]:

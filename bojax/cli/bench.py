@@ -43,8 +43,7 @@ def main(name: str, words: Sequence[str]) -> int:
             raise UsageError(f"unknown benchmark {wanted}{allowed_names(wanted, benchmarks)}")
     if not names:
         print("benchmarks: " + ", ".join(benchmarks), flush=True)
-    codes = [_load(benchmarks[wanted]).main(arguments) for wanted in names or benchmarks]
-    return max(codes)
+    return max([_load(benchmarks[wanted]).main(arguments) for wanted in names or benchmarks])
 
 
 def find_benchmarks() -> dict[str, Path]:

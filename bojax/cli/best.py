@@ -62,8 +62,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def _parser(name: str) -> Parser:
-    usage = "DIR [--by COLUMN] [--confirm N [--out DIR] [--resume]]"
-    parser = Parser(name, usage, _DESCRIPTION, _EXAMPLES)
+    parser = Parser(name, "DIR [--by COLUMN] [--confirm N [--out DIR] [--resume]]", _DESCRIPTION, _EXAMPLES)
     parser.option("folder", "DIR", "results folder", path)
     by = "column of runs.parquet, with a minus sign if less is better (default: report.rank_by; without it "
     by += "-steps_to_goal if a learner reached a goal, otherwise return)"

@@ -21,8 +21,7 @@ def main(name: str, args: Namespace, words: Sequence[str]) -> int:
     out = args.out or dated_folder(ID)
     if not args.resume:
         require_empty(out, "give another --out, or --resume a league")
-    command = " ".join(["bojax", name, *words])
-    code = _run(out, args.runs, command)
+    code = _run(out, args.runs, " ".join(["bojax", name, *words]))
     if code not in (0, 1):
         return code
     from bojax.report.league.page import write_pages

@@ -89,8 +89,7 @@ def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     about = "List parts (problems, planners, ...), configs and sweeps, or the settings of a part."
     parser = Parser(name, "[NAME ...]", about, _EXAMPLES)
-    names = "name of a part, a group, a config or a sweep (default: all)"
-    parser.option("names", "NAME", names, nargs="*")
+    parser.option("names", "NAME", "name of a part, a group, a config or a sweep (default: all)", nargs="*")
     args = parser.read(words)
     groups = _groups()
     if args.names:

@@ -230,8 +230,7 @@ def dispatch(words: list[str]) -> int:
         raise UsageError(
             "the working directory has been deleted or cannot be read; change to another"
         ) from error
-    module = importlib.import_module(f"bojax.cli.{COMMANDS[name][0]}")
-    return module.main(name, words[1:])
+    return importlib.import_module(f"bojax.cli.{COMMANDS[name][0]}").main(name, words[1:])
 
 
 def _parser() -> Parser:

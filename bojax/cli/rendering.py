@@ -97,6 +97,5 @@ def _parser(name: str) -> Parser:
     parser.option("--point", "P", "number of the point of a sweep", integer)
     parser.option("--model", "FILE", "MJCF file of a custom robot", path)
     parser.option("--still", "FILE", "write a PNG image without text instead of a film", path)
-    at = "position of the image in the film, from 0 to 1 (default: 1)"
-    parser.option("--at", "SHARE", at, _share)
+    parser.option("--at", "SHARE", "position of the image in the film, from 0 to 1 (default: 1)", _share)
     return parser

@@ -26,6 +26,5 @@ def main(name: str, words: Sequence[str]) -> int:
     from bojax.tuning.page import build_page, is_search
 
     for folder in args.folders:
-        page = build_page(folder) if is_search(folder) else report(folder, is_brief=len(args.folders) > 1)
-        print(page)
+        print(build_page(folder) if is_search(folder) else report(folder, is_brief=len(args.folders) > 1))
     return 0

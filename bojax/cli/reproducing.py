@@ -106,8 +106,7 @@ def _join(args: Namespace) -> int:
 
     out = args.out or dated_folder(NAME)
     pages = [out] if out.suffix in (".html", ".md") else [out / TEXT, out / PAGE]
-    claims = joined_reproduction(pages, args.page, selected([ALL]), args.count_in)
-    print(in_words(claims), file=sys.stderr)
+    print(in_words(joined_reproduction(pages, args.page, selected([ALL]), args.count_in)), file=sys.stderr)
     print(pages[-1])
     return 0
 
@@ -142,8 +141,7 @@ def _newest(folder: Path, names: Sequence[str]) -> Path:
     begun = [each for each in found if any((each / name).is_dir() for name in names)]
     if not begun:
         raise UsageError(f"{folder}: no reproduction to resume; to start one, leave out --resume")
-    unfinished = (each for each in begun if any(is_unfinished(each / name) for name in names))
-    return next(unfinished, begun[0])
+    return next((each for each in begun if any(is_unfinished(each / name) for name in names)), begun[0])
 
 
 def _parser(name: str) -> Parser:

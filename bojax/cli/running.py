@@ -195,7 +195,6 @@ def run(
     if is_read_by_a_process():
         stop_with_parent()
     launcher, devices = launcher_of(launching)
-    requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
     with launcher or nullcontext(), Reports(in_background=reports and len(sweeps) > 1) as writer:
 
         def finish(folder: Path) -> None:
@@ -204,7 +203,7 @@ def run(
             writer.write(folder)
 
         code = run_sweeps(
-            requests,
+            [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)],
             resume,
             command,
             finish=finish if reports else lambda _: None,

@@ -72,8 +72,7 @@ def _parser(name: str) -> Parser:
         _DESCRIPTION,
         _EXAMPLES,
     )
-    source = "a file or a name in configs/; with ranges and settings"
-    parser.option("words", "CONFIG", source, nargs="*")
+    parser.option("words", "CONFIG", "a file or a name in configs/; with ranges and settings", nargs="*")
     metric = "column of runs.parquet (default: return; of learners, last_return)"
     parser.option("--metric", "COLUMN", metric, column)
     parser.flag("--minimise", "less is better, as it always is of a time to a goal or target")

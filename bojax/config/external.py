@@ -170,8 +170,7 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
     base = roles()[role].protocol
     if base:
         protocol: Any = import_target(base)
-        has = {name for parent in cls.__mro__ for name in vars(parent)}
-        missing |= protocol.__abstractmethods__ - has
+        missing |= protocol.__abstractmethods__ - {name for parent in cls.__mro__ for name in vars(parent)}
     if missing:
         names = sorted(missing)
         # The class that declares a name describes it; one that only has its methods has no such base.

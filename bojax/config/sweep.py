@@ -44,8 +44,7 @@ def load_config(
     source: Source, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
 ) -> Sweep:
     """The experiment of a file in `configs/`, as a sweep of one point; see `load_sweep`."""
-    written = read_config(source)
-    return _expanded(written, _changes(overrides, runs, seed), [()], 1)
+    return _expanded(read_config(source), _changes(overrides, runs, seed), [()], 1)
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,7 @@ def _columns(env: Env, config: Learning, seed: int) -> dict[str, np.ndarray] | N
     program = program.lower(*_lanes(seed, run, number, hold)).compile()
     found, start = [], time.monotonic()
     for first in range(0, runs, BATCH):
-        made = program(*_lanes(seed, first + run, number, hold))
-        found.append(jax.device_get(made))
+        found.append(jax.device_get(program(*_lanes(seed, first + run, number, hold))))
         if (time.monotonic() - start) * runs > MOST_SECONDS * (first + BATCH):
             say(f"note: no baseline of random actions: it takes over {MOST_SECONDS:g} s")
             return None

@@ -90,8 +90,7 @@ def number_of_processes(num_groups: int, devices: Sequence[Device]) -> int:
         stats = device.memory_stats() if device.platform != "cpu" else None
         if stats and stats.get("bytes_limit"):  # 0 with CUDA's own allocator, which takes what is needed
             fraction = float(os.environ.get("XLA_PYTHON_CLIENT_MEM_FRACTION") or _JAX_FRACTION)
-            left = stats["bytes_limit"] * (1 / fraction - 1)
-            number = min(number, int(left / _BYTES_OF_CHILD))
+            number = min(number, int(stats["bytes_limit"] * (1 / fraction - 1) / _BYTES_OF_CHILD))
     return max(number, 0) if number > 1 else 0
 
 

@@ -98,8 +98,7 @@ class Program:
     def serialized(self) -> bytes:
         """The exported program as bytes."""
         assert self.exported is not None
-        header = json.dumps([self.donated, self.gains])
-        return header.encode() + b"\n" + self.exported.serialize()
+        return json.dumps([self.donated, self.gains]).encode() + b"\n" + self.exported.serialize()
 
     def export(self, device: Device) -> "Program":
         """Trace the program for the platform of a device."""
@@ -121,8 +120,7 @@ class Program:
         call.__name__ = name  # `program_cache.compiled` finds the entry in JAX's cache by this name
         sharding = SingleDeviceSharding(device)
         inputs = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding) for leaf in self.inputs]
-        jitted = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding)
-        lowered = jitted.lower(*inputs)
+        lowered = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding).lower(*inputs)
         compiled = lowered.compile(options or None)
         # An option of the user may record loops, too.
         records_loops = _LOOPS[0] in options.get(_GRAPHS, os.environ.get("XLA_FLAGS", ""))

@@ -146,8 +146,7 @@ def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:
 def _described(content: dict[str, Any]) -> dict[str, Any]:
     """The values that a sweep shares with its plan, without settings of points, which workers resolve."""
     kept = {name: content[name] for name in ("runs", "seed", "record", "config")}
-    points = [{**point, "config": None} for point in content["points"]]
-    return {**kept, "points": points}
+    return {**kept, "points": [{**point, "config": None} for point in content["points"]]}
 
 
 def _run(remotes: Sequence[_Remote], names: str, invocation: Invocation, launcher: Launcher) -> int:

@@ -95,8 +95,7 @@ class SweepRun:
 
     def launch(self) -> FolderStorage:
         """Begin a launch that makes this process the owner of all chunks that are left."""
-        left = [chunk.index for chunk in self.left]
-        launch = self.folder.launch(plain(saved(self.plan.sweep)), left)
+        launch = self.folder.launch(plain(saved(self.plan.sweep)), [chunk.index for chunk in self.left])
         return FolderStorage(self.plan, self.folder, launch, self.attempts)
 
     def note_seconds(self, stage: str, seconds: float) -> None:

@@ -52,8 +52,7 @@ class RobotModel:
 
 def packaged(name: str) -> RobotModel:
     """A model shipped with bojax, such as `hopper`."""
-    xml = resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8")
-    return RobotModel(xml)
+    return RobotModel(resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8"))
 
 
 def from_file(path: str | Path) -> RobotModel:

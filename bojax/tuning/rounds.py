@@ -222,8 +222,7 @@ class _Rounds:
         task, best = self._task, self._tried[order[0]]
         results = load(round_folder(self._folder, best.round))
         point = next(point for point in results.points if self._values(point) == best.values)
-        config = dump(config_of(results, point))
-        write_content(self._folder / "best.yaml", config)
+        write_content(self._folder / "best.yaml", dump(config_of(results, point)))
         mean, std = self._expected([each.values for each in self._tried])
         write_json(
             self._folder / TUNING,

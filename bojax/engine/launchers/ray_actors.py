@@ -116,8 +116,7 @@ class Ray(Launcher):
         cores = config.cpus_per_worker or max(1, cpus // num_nodes)
         if cores > cpus:
             raise EngineError(f"--launcher ray: cpus_per_worker: got {cores}; allowed: at most {cpus}")
-        environment = {"env_vars": {"JAX_PLATFORMS": "cpu"}}
-        options = {"num_cpus": cores, "num_gpus": 0, "runtime_env": environment}
+        options = {"num_cpus": cores, "num_gpus": 0, "runtime_env": {"env_vars": {"JAX_PLATFORMS": "cpu"}}}
         return config.workers or max(1, cpus // cores), options, cores
 
     @override
