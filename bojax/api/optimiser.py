@@ -158,12 +158,7 @@ class Optimiser:
     def _new(self, capacity: int) -> Search:
         self._capacity = capacity
         return Search(
-            self._axes,
-            self._seed,
-            self._batch,
-            capacity,
-            is_noisy=self._is_noisy,
-            initial=self._initial,
+            self._axes, self._seed, self._batch, capacity, is_noisy=self._is_noisy, initial=self._initial
         )
 
     def _values(self, evaluation: Evaluation) -> Values:

@@ -129,9 +129,7 @@ def dotted(location: Iterable[int | str]) -> str:
 
 
 def from_validation(
-    error: pydantic.ValidationError,
-    locate: Callable[[Location], str],
-    siblings: Sequence[str] = (),
+    error: pydantic.ValidationError, locate: Callable[[Location], str], siblings: Sequence[str] = ()
 ) -> ConfigError:
     """The first error of a pydantic validation, and the number of further errors, as one line.
 

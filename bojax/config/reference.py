@@ -17,14 +17,8 @@ from bojax.config.settings import EngineConfig, Record, Settings
 from bojax.config.sweep_file import Report, SweepFile
 
 _PAGES: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "problems": (
-        "Problems",
-        ("problem", "area", "field", "objective", "sensor", "vehicle"),
-    ),
-    "planners": (
-        "Planners",
-        ("planner", "motions", "proposal", "widening", "leaf-value"),
-    ),
+    "problems": ("Problems", ("problem", "area", "field", "objective", "sensor", "vehicle")),
+    "planners": ("Planners", ("planner", "motions", "proposal", "widening", "leaf-value")),
     "learners": ("Learners", ("learner", "features", "exploration-reward", "schedule")),
     "environments": ("Environments", ("env", "physics")),
     "models": ("Models", ("kernel", "mean", "acquisition")),

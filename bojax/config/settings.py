@@ -28,8 +28,7 @@ class EngineConfig(Schema, frozen=True):
     """How runs are executed. These settings change the results by rounding at most."""
 
     device: Platform = Field(
-        default="auto",
-        description="device to run on; auto for the GPUs, or the CPU if there are none",
+        default="auto", description="device to run on; auto for the GPUs, or the CPU if there are none"
     )
     lanes_per_device: int | None = Field(
         default=None,

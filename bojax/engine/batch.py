@@ -79,8 +79,7 @@ class TracedOnce:
             self._traced = jaxpr_as_fun(traced), jax.tree.structure(results)
         compute, structure = self._traced
         return jax.tree.unflatten(
-            structure,
-            jax.vmap(lambda one: compute(*jax.tree.leaves((one, shared))), axis_name=LANES)(lanes),
+            structure, jax.vmap(lambda one: compute(*jax.tree.leaves((one, shared))), axis_name=LANES)(lanes)
         )
 
 

@@ -31,12 +31,7 @@ _OF_DRAWS: Mapping[str, object] = {
 _FIXED: Mapping[str, object] = {"jax_enable_x64": True, **_OF_DRAWS}
 """Flags on which the numbers of a run depend, which must follow from its plan alone."""
 
-_FLAGS = (
-    *_FIXED,
-    "jax_platforms",
-    "jax_compilation_cache_dir",
-    "jax_persistent_cache_min_compile_time_secs",
-)
+_FLAGS = (*_FIXED, "jax_platforms", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 """Flags that `prepare` sets."""
 
 _REQUIRED: Mapping[str, tuple[object, ...]] = {

@@ -114,10 +114,7 @@ def _grouped(sweep: Sweep) -> tuple[list[Experiment], list[StaticGroup]]:
 
 
 def _make_plan(
-    sweep: Sweep,
-    modules: Sequence[Experiment],
-    groups: Sequence[StaticGroup],
-    device: Mapping[str, Any],
+    sweep: Sweep, modules: Sequence[Experiment], groups: Sequence[StaticGroup], device: Mapping[str, Any]
 ) -> Plan:
     for group in groups:
         first = group.points[0]

@@ -99,10 +99,7 @@ def _common_device(sweeps: Sequence[Sweep]) -> Platform:
 
 
 def _execute(
-    runs: Sequence[SweepRun],
-    devices: Sequence[Device],
-    invocation: Invocation,
-    processes: CompileProcesses,
+    runs: Sequence[SweepRun], devices: Sequence[Device], invocation: Invocation, processes: CompileProcesses
 ) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
     several = len(runs) > 1

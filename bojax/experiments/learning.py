@@ -66,10 +66,7 @@ def _episode_key(
 
 
 def reset_key(
-    run: Key[Array, ""],
-    episode: Int[Array, ""],
-    counter: Int[Array, ""] | int,
-    shares_start: Bool[Array, ""],
+    run: Key[Array, ""], episode: Int[Array, ""], counter: Int[Array, ""] | int, shares_start: Bool[Array, ""]
 ) -> Key[Array, ""]:
     """Key of the initial state of an episode, numbered from 1, or with counter 2 n of its test n."""
     # Key data, because JAX's check of key reuse takes a choice between keys for a use of them.

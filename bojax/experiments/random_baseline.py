@@ -19,11 +19,7 @@ class RandomEpisode(eqx.Module):
 
 
 def random_episodes(
-    env: Env,
-    starts: Starts,
-    run: Key[Array, "N"],
-    number: Int[Array, "N"],
-    hold: Int[Array, "N"],
+    env: Env, starts: Starts, run: Key[Array, "N"], number: Int[Array, "N"], hold: Int[Array, "N"]
 ) -> RandomEpisode:
     """Episodes, each of one run, all in one batch.
 

@@ -28,12 +28,7 @@ class _Metadata(Structure):
 
 
 class _Extension(Structure):
-    _fields_ = [
-        ("size", c_size_t),
-        ("kind", c_int),
-        ("next", c_void_p),
-        ("metadata", POINTER(_Metadata)),
-    ]
+    _fields_ = [("size", c_size_t), ("kind", c_int), ("next", c_void_p), ("metadata", POINTER(_Metadata))]
 
 
 class _Buffer(Structure):

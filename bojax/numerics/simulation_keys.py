@@ -19,10 +19,7 @@ _PARITY = 0x1BD11BDA
 
 
 def threefry(
-    key: UInt32[Array, "2"],
-    x0: UInt32[Array, "*S"],
-    x1: UInt32[Array, "*S"],
-    num_rounds: int = _NUM_ROUNDS,
+    key: UInt32[Array, "2"], x0: UInt32[Array, "*S"], x1: UInt32[Array, "*S"], num_rounds: int = _NUM_ROUNDS
 ) -> tuple[UInt32[Array, "*S"], UInt32[Array, "*S"]]:
     """Two words for each counter `(x0, x1)`; `jax.random` has 20 rounds."""
     k0, k1 = key[0], key[1]

@@ -117,12 +117,7 @@ def has_clipped_forces(model: MjModel) -> bool:
     return is_newton and model.opt.cone == int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
 
 
-def constrained(
-    model: Any,
-    data: Any,
-    inertia: Float[Array, "V V"],
-    search: Search = search_at_ends,
-) -> Any:
+def constrained(model: Any, data: Any, inertia: Float[Array, "V V"], search: Search = search_at_ends) -> Any:
     """The data of MJX with the accelerations and the constraint forces, as `mjx.solve` computes them.
 
     The accelerations a minimise 1/2 (a - b)'M (a - b) + sum s_i(x_i), with the unconstrained accelerations b
