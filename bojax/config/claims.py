@@ -11,9 +11,8 @@ from bojax.config.component import Registered, Schema, Slot
 class Test(Registered, frozen=True):
     """A statistical test of a claim.
 
-    Attributes:
-        target: The function that makes the test, `package.module:function`. It takes the results and these
-            settings, and returns a `bojax.report.findings.Finding`.
+    `target` is the function that makes the test, `package.module:function`. It takes the results and these
+    settings, and returns a `bojax.report.findings.Finding`.
     """
 
     role: ClassVar[str] = "test"

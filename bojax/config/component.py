@@ -84,18 +84,13 @@ class Component(Registered, frozen=True):
 
     The base class of a role sets `role`, `plural` and `protocol`; the class of a part sets `target` and
     `kind`.
-
-    Attributes:
-        plural: Heading of the role in lists.
-        protocol: Base class of the parts, `package.module:Class`, whose abstract methods a part must
-            implement; empty if the role has no base class.
-        target: Class that is built from the settings, `package.module:Class`.
-        constructor_defaults: Settings that are passed to the constructor only if they were set.
     """
 
-    plural: ClassVar[str]
+    plural: ClassVar[str]  # heading of the role in lists
+    # Base class of the parts, `package.module:Class`, whose abstract methods a part must implement; or empty
     protocol: ClassVar[str] = ""
-    target: ClassVar[str] = ""
+    target: ClassVar[str] = ""  # class that is built from the settings, `package.module:Class`
+    # Settings that are passed to the constructor only if they were set
     constructor_defaults: ClassVar[frozenset[str]] = frozenset()
 
     @property

@@ -76,11 +76,8 @@ class Choices:
     ) -> Made:
         """The program with the plan's choices: as it was made, unless another process was the first.
 
-        Args:
-            name: Name of the program in its plan.
-            made: The program as this process has compiled or loaded it.
-            again: Compiles the program with the given choices; None if that is not possible.
-            content: The hash of `made`, see `fingerprint`; None if it is not known.
+        `again` compiles the program with the given choices, or returns None if that is not possible.
+        `content` is the `fingerprint` of `made`, if it is known.
 
         Raises:
             EngineError: XLA makes something else of the program although it has the plan's choices.

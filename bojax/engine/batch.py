@@ -55,13 +55,10 @@ class Status(NamedTuple):
 
 
 class TracedOnce:
-    """A function of one lane, traced once for batches of any number of lanes.
+    """A function of inputs of one lane and of all, traced once for batches of any number of lanes.
 
     Tracing runs Python for every operation. Batching what was traced takes a tenth to a half of that time.
-
-    Args:
-        function: A function of the inputs of one lane and of inputs that all lanes share. It may refer to the
-            named axis `LANES`, but not to its size, which is 1 during tracing.
+    The function may refer to the named axis `LANES`, but not to its size, which is 1 during tracing.
     """
 
     def __init__(self, function: Callable[[PyTree, PyTree], PyTree]):
@@ -124,15 +121,9 @@ class Programs:
     ):
         """Compile the programs.
 
-        Args:
-            functions: The functions of the group.
-            device: The device.
-            num_lanes: Number of lanes.
-            seed: Seed of the sweep.
-            recorded: Largest number of lanes whose run is recorded.
-            wider: The larger number of lanes that the runs come from; None if they start in these lanes.
-            choices: The choices of the plan that the programs belong to; None if XLA makes none.
-            started: Called when tracing starts, one group at a time, or when saved programs are loaded.
+        `recorded` is the largest number of lanes whose run is recorded, `wider` the larger number of lanes
+        that the runs come from; None if they start in these. `started` is called when tracing starts, one
+        group at a time, or when saved programs are loaded.
         """
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group

@@ -28,9 +28,6 @@ class Replay:
     Raises:
         ResultsError: The environment draws no pictures.
         ConfigError: The environment cannot be made.
-
-    Attributes:
-        seconds: Duration of a step, from the environment's `render_fps`; 0 if it has none.
     """
 
     def __init__(
@@ -56,7 +53,7 @@ class Replay:
         self._id, self._is_discrete = env.id, isinstance(host.action_space, Discrete)
         self._env = host.make(render_mode=PICTURE)
         fps = self._env.metadata.get("render_fps")
-        self.seconds = 1.0 / fps if fps else 0.0
+        self.seconds = 1.0 / fps if fps else 0.0  # of a step; 0 if the environment has no `render_fps`
         self.observation: Any = None
 
     def begin(self) -> None:

@@ -57,14 +57,9 @@ class Limits:
 class ChunkRunner:
     """The state of a chunk while it runs.
 
-    Args:
-        chunk: The chunk.
-        experiment: An experiment of the group.
-        programs: The programs for one of the chunk's numbers of lanes; may wait for them.
-        sink: Receives rows and checkpoints, and holds the state from which the chunk is resumed.
-        limits: When the chunk pauses.
-        report: Called after every segment.
-        announce: Called with a smaller number of lanes once the runs may soon fit into it.
+    `programs` gives those for one of the chunk's numbers of lanes, and may wait for them. The sink also holds
+    the state from which the chunk is resumed. `report` is called after every segment, `announce` with a
+    smaller number of lanes once the runs may soon fit into it.
     """
 
     def __init__(

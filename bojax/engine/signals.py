@@ -40,15 +40,9 @@ class StopRequest:
     process at the next. A second SIGHUP means nothing: the shell and the system may each send one when a
     terminal is closed.
 
-    A signal that is ignored when the block begins stays ignored, as `nohup` asks for.
-
-    Attributes:
-        signum: The signal that requested the stop; None before any signal.
-
-    Args:
-        announce: Called with a message after the first signal; prints it by default.
-        signals: The signals to notice.
-        exits: Whether the second signal ends the process; by default, unless `sparing_the_process`.
+    A signal that is ignored when the block begins stays ignored, as `nohup` asks for. `announce` is called
+    with a message after the first signal, and prints it by default. The second signal ends the process if
+    `exits`: by default, unless `sparing_the_process`.
     """
 
     def __init__(
@@ -58,7 +52,7 @@ class StopRequest:
         *,
         exits: bool | None = None,
     ):
-        self.signum: int | None = None
+        self.signum: int | None = None  # of the signal that requested the stop
         self._signals, self._exits = signals, _ends_process[0] if exits is None else exits
         self._announce = announce or (lambda text: print(text, file=sys.stderr, flush=True))
 

@@ -331,9 +331,6 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
     `limit` is the number of steps of an episode, and `dtype` the precision of the rewards; with
     `has_own_bounds`, all bounds of observations are those that the environment declares. Returns the keys of
     `info` in these steps.
-
-    Returns:
-        The keys of `info` in these steps.
     """
     env.action_space.seed(0)
     space, where, has_ended = env.observation_space, "reset", False

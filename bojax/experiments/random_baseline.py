@@ -23,14 +23,8 @@ def random_episodes(
 ) -> RandomEpisode:
     """Episodes, each of one run, all in one batch.
 
-    They begin where the training episodes of a learner begin with the same keys of runs.
-
-    Args:
-        env: Environment.
-        starts: Whether the episodes of a run share their initial state, as the setting of the experiment.
-        run: Key of the run of each episode.
-        number: Number of the episode in its run, from 1.
-        hold: Number of steps for which each action is repeated.
+    They begin where the training episodes of a learner begin with the same keys of runs. Episodes of a run
+    count from 1; each action is repeated for `hold` steps.
     """
     return jax.vmap(lambda *each: _episode(env, starts, *each), axis_name=LANES)(run, number, hold)
 

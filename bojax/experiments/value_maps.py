@@ -101,13 +101,9 @@ class Maps(eqx.Module):
         unit: Float[Array, "T 2"] | None,
         length: Int[Array, ""],
     ) -> "Maps":
-        """The maps after an episode.
+        """The maps after an episode, whose map was found; `now` says which of the maps it is, if any.
 
-        Args:
-            now: Which of the maps is that of this episode, if any.
-            found: The map after the episode.
-            unit: The observations before its steps in [0, 1]; None if maps are not scored.
-            length: Number of its steps.
+        The observations before its steps are in units of their range; None if maps are not scored.
         """
         values = jnp.where(now.reshape(-1, *[1] * found.ndim), found[None], self.values)
         if self.visits is None or self.scores is None or unit is None:

@@ -67,14 +67,9 @@ class Memory(eqx.Module):
 
         Blocks that are empty in every lane are skipped.
 
-        Args:
-            function: `(carry, rows, index, is_valid) -> carry`, where `rows` is a `Memory` of `block`
-                transitions, `index` their positions, and `is_valid` marks the rows to count. The other rows
-                are zero or were part of an earlier block.
-            start: Initial carry.
-            block: Largest number of transitions in a block.
-            first: Position of the first transition.
-            end: Position after the last transition; the capacity by default.
+        The function is `(carry, rows, index, is_valid) -> carry`, where `rows` is a `Memory` of `block`
+        transitions, `index` their positions, and `is_valid` marks the rows to count. The other rows are zero
+        or were part of an earlier block.
         """
         end = len(self.rewards) if end is None else end
         if end <= first:

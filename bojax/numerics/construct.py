@@ -19,17 +19,13 @@ HOW_TO_BUILD = ("dtype", "saved_run")
 
 
 def construct(component: Component, dtype: str, locate: Locate = dotted, path: Location = ()) -> Any:
-    """The object that a component describes.
+    """The object that a component describes, whose import paths have been resolved.
 
     Static fields of a module stay Python values. Every other number or list of numbers becomes an array of
-    `dtype`, even if it is an integer, so that it is a leaf that can be swept. Booleans become boolean
-    arrays. Strings and null stay as they are.
+    `dtype`, even if it is an integer, so that it is a leaf that can be swept. Booleans become boolean arrays.
+    Strings and null stay as they are.
 
-    Args:
-        component: Validated settings, with parts given by import path resolved.
-        dtype: Precision of every number.
-        locate: Formats the path of a setting for messages.
-        path: Names of the settings that lead to the component.
+    `path` leads to the component, and `locate` formats the path of a setting for messages.
 
     Raises:
         ConfigError: A constructor rejects its settings.

@@ -57,13 +57,10 @@ class RunFolder:
     """The results folder of a sweep that is running.
 
     The plan is everything that the results depend on. A sweep can only be resumed with the same plan.
-
-    Attributes:
-        path: The folder. `create` may change its name.
     """
 
     def __init__(self, path: Path):
-        self.path = path
+        self.path = path  # `create` may change its name
         self._lock = None
 
     @property

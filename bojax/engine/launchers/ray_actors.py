@@ -207,11 +207,7 @@ class _Actor:
         self._is_stopping = False
 
     def work(self, folders: Sequence[str], share: int, count: int, cores: int | None) -> str | None:
-        """Run a share of the chunks.
-
-        Returns:
-            The error for which the worker left early, in one line; None if there was none.
-        """
+        """Run a share of the chunks, and return the error for which the worker left early, in one line."""
         from bojax.engine.worker import EXPECTED, run_worker
 
         paths = [Path(folder) for folder in folders]
