@@ -304,7 +304,5 @@ def setting(flag: str) -> Any:
 
 def _update_before_start(flag: str, value: object) -> None:
     """Set a flag that JAX refuses to change once a backend has started; in that case it stays as it is."""
-    try:
+    with suppress(RuntimeError):
         jax.config.update(flag, value)
-    except RuntimeError:
-        pass

@@ -63,10 +63,9 @@ def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mappin
 
     Its content has the settings that were left to the worker's machine.
     """
-    configs = [point["config"] for point in content["points"]]
     points = [
-        replace(point, config=type(point.config).model_validate(config))
-        for point, config in zip(sweep.points, configs, strict=True)
+        replace(point, config=type(point.config).model_validate(made["config"]))
+        for point, made in zip(sweep.points, content["points"], strict=True)
     ]
     of_worker = replace(sweep, points=tuple(points))
     with for_another_machine():
@@ -116,18 +115,12 @@ def _grouped(sweep: Sweep) -> tuple[list[Experiment], list[StaticGroup]]:
 def _make_plan(
     sweep: Sweep, modules: Sequence[Experiment], groups: Sequence[StaticGroup], device: Mapping[str, Any]
 ) -> Plan:
+    layouts = []
     for group in groups:
-        first = group.points[0]
+        first, num_runs = group.points[0], len(group.points) * sweep.runs
         check_memory(modules[first], sweep.points[first].config, functools.partial(sweep.locate, first))
-    layouts = [
-        choose_layout(
-            modules[group.points[0]],
-            len(group.points) * sweep.runs,
-            device["platform"],
-            sweep.engine.lanes_per_device,
-        )
-        for group in groups
-    ]
+        lanes = sweep.engine.lanes_per_device
+        layouts.append(choose_layout(modules[first], num_runs, device["platform"], lanes))
     content = _content(sweep, modules, device, groups, layouts)
     return Plan(sweep, modules, groups, layouts, _cut(sweep, groups, layouts, content), device, content)
 
@@ -174,12 +167,8 @@ def _content(
             "record": sweep.record.model_dump(),
             "config": sweep.base,
             "points": [
-                {
-                    "label": point.label,
-                    "variant": point.variant,
-                    "swept": point.swept,
-                    "config": resolved(point.config.model_dump(mode="json"), module),
-                }
+                {"label": point.label, "variant": point.variant, "swept": point.swept}
+                | {"config": resolved(point.config.model_dump(mode="json"), module)}
                 for point, module in zip(sweep.points, modules, strict=True)
             ],
             "device": {key: device[key] for key in ("platform", "kind")},

@@ -150,13 +150,8 @@ def _described(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _run(remotes: Sequence[_Remote], names: str, invocation: Invocation, launcher: Launcher) -> int:
-    paths = [remote.target.path for remote in remotes]
-    for remote in remotes:
-        _plan(remote, invocation)
-    waiting = [remote for remote in remotes if not _has_ended(remote)]
-    for remote in remotes:
-        if remote not in waiting:
-            _finalise(remote, invocation)
+    paths, waiting = [remote.target.path for remote in remotes], list(remotes)
+    _merge_ended(waiting, invocation)
     if waiting:
         try:
             folders = [remote.target.path for remote in waiting]
@@ -200,21 +195,19 @@ def _launch(remote: _Remote) -> Sequence[Chunk]:
     return remote.chunks if left is None else left
 
 
-def _has_ended(remote: _Remote) -> bool:
-    """Whether all chunks are done or have failed."""
-    if remote.run is None:
-        return False
-    remote.run.attempts.look()
-    return not remote.run.left
-
-
-def _finalise(remote: _Remote, invocation: Invocation) -> None:
-    assert remote.run is not None
-    remote.run.finalise(say, invocation.finish)
+def _merge_ended(waiting: list[_Remote], invocation: Invocation) -> None:
+    """Merge each sweep whose chunks are all done or have failed, and take it off the list."""
+    for remote in list(waiting):
+        _plan(remote, invocation)
+        if remote.run is not None:
+            remote.run.attempts.look()
+            if not remote.run.left:
+                waiting.remove(remote)
+                remote.run.finalise(say, invocation.finish)
 
 
 def _wait(waiting: list[_Remote], invocation: Invocation, launcher: Launcher) -> None:
-    """Merge each sweep once its chunks have ended; take it off the list.
+    """Merge sweeps as their chunks end.
 
     What the last workers wrote may become visible some time after they have left.
     """
@@ -228,11 +221,7 @@ def _wait(waiting: list[_Remote], invocation: Invocation, launcher: Launcher) ->
             told = time.monotonic()
             for remote in waiting:
                 print(status_of(remote.target.path).summary, file=sys.stderr)
-        for remote in list(waiting):
-            _plan(remote, invocation)
-            if _has_ended(remote):
-                waiting.remove(remote)
-                _finalise(remote, invocation)
+        _merge_ended(waiting, invocation)
         if left is not None and (launcher.all_refused or time.monotonic() - left > LATE_SECONDS):
             return
         end = time.monotonic() + POLL_SECONDS

@@ -136,7 +136,6 @@ class SweepRun:
         """Write `manifest.json`: the sweep, the command that started it, and the software that ran it."""
         plan, sweep, merged = self.plan, self.plan.sweep, self.merged
         points = zip(plan.content["points"], self._outlines, strict=True)
-        configs = [point["config"] for point in plan.content["points"]]
         nans = Counter[str]()
         for (point, _), count in sorted(merged.nans.items()) if merged else ():
             nans[str(point)] += count
@@ -160,7 +159,7 @@ class SweepRun:
             "git": git_revision(),
             "precision": {
                 "x64": bool(setting("jax_enable_x64")),
-                "dtypes": sorted({config.get("dtype", "float64") for config in configs}),
+                "dtypes": sorted({each["config"].get("dtype", "float64") for each in plan.content["points"]}),
                 "matmul": setting("jax_default_matmul_precision") or "set by each operation",
             },
             "plan": plan.content,
