@@ -29,7 +29,7 @@ import bojax
 from bojax.engine.autotuning import Choices
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.compiler import compile_threads
-from bojax.engine.devices import Device, of_platform, prepare, setting
+from bojax.engine.devices import Device, all_settings, of_platform, prepare, setting
 from bojax.engine.groups import StaticGroup
 from bojax.engine.plan import Plan
 from bojax.engine.storage import Storage
@@ -119,8 +119,10 @@ class CompileProcesses:
                     env=os.environ | changes,
                 )
                 self._children.append(child)
+        flags = all_settings()  # which Python code may have set
+        flags = {name: value for name, value in flags.items() if isinstance(value, bool | int | float | str)}
         for child in self._children:
-            self._send(child, _flags())
+            self._send(child, flags)
             self._idle.put(child)
 
     def begin(self, request: Request) -> bool:
@@ -216,13 +218,6 @@ class Ahead:
 
 
 _DONE, _FAILED = b"1", b"0"
-
-
-def _flags() -> dict[str, Any]:
-    """JAX's flags, which Python code may have set, without the place of the cache."""
-    names = [name for name in jax.config.values if "cache_dir" not in name]
-    flags = {name: getattr(jax.config, name, None) for name in names}
-    return {name: value for name, value in flags.items() if isinstance(value, bool | int | float | str)}
 
 
 def _serve(requests: IO[bytes], replies: IO[bytes]) -> None:

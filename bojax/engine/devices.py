@@ -302,6 +302,11 @@ def setting(flag: str) -> Any:
     return getattr(jax.config, flag)
 
 
+def all_settings() -> dict[str, Any]:
+    """The values of JAX's flags, without the place of the cache."""
+    return {name: getattr(jax.config, name, None) for name in jax.config.values if "cache_dir" not in name}
+
+
 def _update_before_start(flag: str, value: object) -> None:
     """Set a flag that JAX refuses to change once a backend has started; in that case it stays as it is."""
     with suppress(RuntimeError):

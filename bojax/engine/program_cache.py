@@ -31,7 +31,7 @@ import jax.monitoring
 from jax.stages import Compiled
 from typing_extensions import override
 
-from bojax.engine.devices import Device
+from bojax.engine.devices import Device, all_settings
 from bojax.engine.groups import StaticGroup, nodes_with
 from bojax.engine.program import Program, abstract
 from bojax.engine.provenance import code_hashes, installed
@@ -70,7 +70,8 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
     if content is None or folder_of(PROGRAMS) is None:
         return None
     kind = device.device_kind, device.client.platform_version
-    parts = (_environment(), _flags(), jax.default_backend(), *kind)  # short loops depend on the backend
+    flags = repr(sorted((name, str(value)) for name, value in all_settings().items()))
+    parts = (_environment(), flags, jax.default_backend(), *kind)  # short loops depend on the backend
     return content[:_TAG_DIGITS] + hashlib.sha256(repr(parts).encode()).hexdigest()[:48]
 
 
@@ -269,12 +270,6 @@ def _environment() -> str:
     if cpus.exists():
         parts.append(sorted({line for line in cpus.read_text().splitlines() if line.startswith("flags")}))
     return repr(parts)
-
-
-def _flags() -> str:
-    """JAX's flags, without the place of the cache."""
-    names = sorted(name for name in jax.config.values if "cache_dir" not in name)
-    return repr([(name, str(getattr(jax.config, name, None))) for name in names])
 
 
 class _Pickler(pickle.Pickler):

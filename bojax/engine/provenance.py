@@ -6,7 +6,7 @@ import hashlib
 import importlib.metadata
 import subprocess
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +58,8 @@ def versions() -> dict[str, str]:
     return {"python": sys.version.split()[0], "bojax": bojax.__version__, **installed(PACKAGES)}
 
 
-def installed(packages: Iterable[str]) -> dict[str, str]:
+@functools.cache
+def installed(packages: tuple[str, ...]) -> Mapping[str, str]:
     """Versions of those packages that are installed."""
     versions = {}
     for package in packages:
