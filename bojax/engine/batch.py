@@ -281,12 +281,9 @@ def obtain(
 ) -> tuple[Loaded, bool, float]:
     """Load the programs of a group, or trace, compile and save them.
 
-    Args:
-        key: Name under which they are saved; None if they are not.
-        device: The device.
-        trace: Makes the programs. Those that cannot be saved are traced when they are compiled.
-        started: Called when tracing starts, one group at a time, or when saved programs are loaded.
-        are_remade: Whether another process may have to make the same programs, see `compile_again`.
+    Programs without a key are not saved, and are traced when they are compiled. `started` is called when
+    tracing starts, one group at a time, or when saved programs are loaded. If they `are_remade`, another
+    process may have to make the same programs, see `compile_again`.
 
     Returns:
         The programs, which take only inputs of exactly these shapes on this device; whether other devices and

@@ -67,11 +67,8 @@ class Program:
     ):
         """The program that applies a function of trees to leaves.
 
-        Args:
-            function: The function. Its result consists of dictionaries, lists and tuples of arrays.
-            inputs: Its inputs, as arrays or as their shapes and dtypes.
-            donated: Index of the input whose buffers the program may overwrite; None for none.
-            gains: As the attribute.
+        The inputs are arrays, or their shapes and dtypes; the result consists of dictionaries, lists and
+        tuples of arrays. The program may overwrite the buffers of the input of index `donated`.
         """
         leaves, structure = jax.tree.flatten(inputs)
 

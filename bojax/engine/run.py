@@ -31,16 +31,11 @@ def run_sweeps(
 ) -> int:
     """Run or resume sweeps as one plan, and write their results folders.
 
-    All sweeps are planned before the first one runs.
-
-    Args:
-        requests: The sweeps.
-        resume: Continue unfinished sweeps, each in its `out` or in the newest unfinished folder of its name.
-        command: The command line, for the manifests and for the hint on how to resume.
-        finish: Called with the results folder of each finished sweep, for instance to write a report.
-        launcher: Starts workers that run the chunks; None to run them in this process.
-        indices: Indices of the devices that this process uses; None for all.
-        planned: Called before this process waits for devices or workers.
+    All sweeps are planned before the first one runs. Unfinished sweeps are resumed in their `out`, or in the
+    newest unfinished folder of their name. The command line is for the manifests and for the hint on how to
+    resume. A launcher starts workers that run the chunks; without one, this process runs them, on its devices
+    of the given indices, by default on all. `finish` is called with the results folder of each finished
+    sweep, for instance to write a report, and `planned` before this process waits for devices or workers.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 128 and its number after a signal.

@@ -39,10 +39,8 @@ def arrays(tree: PyTree[Array]) -> dict[str, Array]:
 def save(folder: Path, content: Mapping[str, Any]) -> Callable[[], None]:
     """Copy arrays to the host, and begin to write them to a folder, which appears once it is complete.
 
-    The arrays may be given away as soon as this returns.
-
-    Returns:
-        A function that waits for the end; it raises a `ResultsError` as `save` does.
+    The arrays may be given away as soon as this returns. What it returns waits for the end, and raises a
+    `ResultsError` as `save` does.
 
     Raises:
         ResultsError: The folder cannot be written; nothing of it is left.

@@ -73,10 +73,8 @@ def register(name: str, function: Callable[[np.ndarray], np.ndarray]) -> bool:
     """Let compiled programs call a function from rows `[L, A]` to rows `[L, B]`, both float32, by this name.
 
     A name stands for one function, in every process: programs that call it are cached. If the function raises
-    an exception, Python prints it, and the result is NaN.
-
-    Returns:
-        Whether this version of XLA has the interface that is used here.
+    an exception, Python prints it, and the result is NaN. Returns whether this version of XLA has the
+    interface that is used here.
     """
     if name in _handlers:
         return True

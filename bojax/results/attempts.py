@@ -147,13 +147,10 @@ class AttemptRegistry:
         return None
 
     def begin(self, chunk: str, launch: str) -> ChunkFolder | None:
-        """Begin an attempt, with everything that earlier ones have committed.
+        """Begin an attempt, with all that earlier ones have committed; None if the chunk has ended.
 
         The caller is the owner of the chunk in this launch. An earlier attempt in the same launch that did
         not end therefore means that the owner was lost.
-
-        Returns:
-            The files of the attempt; None if the chunk is done, or has failed.
 
         Raises:
             ResultsError: The folder cannot be written, or a committed file is missing or has changed.

@@ -57,15 +57,10 @@ def control(
     rotation: Float[Array, "3 3"],
     rates: Float[Array, "3"],
 ) -> Float[Array, "4"]:
-    """Rotor thrusts in N that track a reference.
+    """Rotor thrusts in N that track a reference, given what was measured.
 
-    Args:
-        airframe: Parameters of the robot.
-        reference: Reference at this time.
-        position: Measured position in metres.
-        velocity: Velocity in the world frame, in m/s.
-        rotation: Rotation from the body frame (x forward, z up) to the world frame.
-        rates: Angular velocity in the body frame, in rad/s.
+    Position and velocity are in the world frame, in m and m/s. The rotation is from the body frame (x
+    forward, z up) to the world frame, and the rates are the angular velocity in the body frame, in rad/s.
     """
     up = jnp.asarray([0.0, 0.0, 1.0], position.dtype)
     acceleration = (

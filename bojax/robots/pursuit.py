@@ -82,11 +82,9 @@ def wheel_angles(
 ) -> Float[Array, "2"]:
     """Ackermann angles of the left and the right front wheel, at which neither slips, in rad.
 
-    Args:
-        curvature: Curvature of the path of the midpoint of the rear axle, positive to the left, in 1/m; its
-            magnitude must be below 1 / `half_track`.
-        wheelbase: Distance between the axles, in metres.
-        half_track: Half the distance between the steering axes of the front wheels, in metres.
+    The curvature of the path of the midpoint of the rear axle, positive to the left, in 1/m, must be below 1
+    / `half_track` in magnitude. The wheelbase is the distance between the axles, and `half_track` half that
+    between the steering axes of the front wheels, in metres.
     """
     turn = wheelbase * curvature
     return jnp.stack(

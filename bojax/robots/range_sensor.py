@@ -48,14 +48,8 @@ def ranges(
     """Distances along rays to the first point at or below a surface, `max_range` for a ray that misses it.
 
     Each ray is marched in 64 equal segments, and the first segment that ends below the surface is bisected.
-    An obstacle that a ray enters and leaves within one segment is missed.
-
-    Args:
-        surface: The surface.
-        origin: Origin of the rays, in metres.
-        rotation: Rotation from the sensor frame to the world frame.
-        rays: Unit vectors in the sensor frame.
-        max_range: Maximum range, in metres.
+    An obstacle that a ray enters and leaves within one segment is missed. Lengths are in metres. The rays are
+    unit vectors in the sensor frame, which the rotation takes to the world frame.
     """
     directions = matmul(rays, rotation.T)
 

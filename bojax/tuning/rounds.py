@@ -190,8 +190,7 @@ class _Rounds:
     def _confirmed(self, order: Sequence[int]) -> str | int:
         """Run the best points and the config as written with another seed.
 
-        Returns:
-            The name of the folder of these runs, or the exit code if they did not finish.
+        Returns the name of the folder of these runs, or the exit code if they did not finish.
         """
         task, config = self._task, self._task.config
         points = [self._tried[index].values for index in order[:TOP]]
