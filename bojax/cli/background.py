@@ -106,8 +106,7 @@ class Reports:
         except Exception as problem:  # the report can be rebuilt from the results, which are complete
             self.exit_code = 1
             reason = f"the report of {folder} cannot be written: {error_line(problem)}"
-            advice = f"to try again: bojax report {folder}"
-            say(f"error: {reason}; {advice}")
+            say(f"error: {reason}; to try again: bojax report {folder}")
         del self._pending[folder]
 
 

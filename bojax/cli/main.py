@@ -113,8 +113,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         say(f"error: {error}")
         return error.exit_code
     except ValueError as error:
-        has_begun = any(name.startswith("jax.") for name in sys.modules)
-        if not has_begun or "jax" in sys.modules:
+        if "jax" in sys.modules or not any(name.startswith("jax.") for name in sys.modules):
             raise
         say(f"error: JAX refuses its environment variables: {error}")
         return INPUT_ERROR

@@ -86,11 +86,10 @@ def main(name: str, words: Sequence[str]) -> int:
     folder = "configs" if name == "run" else "sweeps"
     for source in given:
         if isinstance(source, str) and (hidden := shadowed(source, folder)):
-            own = display(find(source, folder))
-            say(f"note: {own} hides {hidden}, which differs")
+            say(f"note: {display(find(source, folder))} hides {hidden}, which differs")
     for sweep in sweeps:
         _note_doubts(sweep)
-    folders = _folders(args.out, names) if args.out else [None] * len(names)
+    folders = [args.out / each for each in names] if args.out and len(names) > 1 else [args.out] * len(names)
     if args.dry_run:
         from bojax.results.folder import choose_folder  # imports pyarrow
 
@@ -119,11 +118,6 @@ def _doubt(config: Any) -> str:
     if domain is not None and length > (side := max(domain[2] - domain[0], domain[3] - domain[1])):
         return f"planner.{name}: got {length:g} m: such paths may leave the domain, which is {side:g} m wide"
     return ""
-
-
-def _folders(out: Path, names: Sequence[str]) -> list[Path]:
-    """The results folders of sweeps: `out` for one, folders of their names in it for several."""
-    return [out / name for name in names] if len(names) > 1 else [out]
 
 
 def _parser(name: str) -> Parser:

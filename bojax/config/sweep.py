@@ -34,8 +34,7 @@ def load_sweep(
     written = read_sweep(source)
     changes = _changes(overrides, runs, seed)
     combinations = read_axes(written.content.axes, written.content.combine, written.file)
-    sweep = _expanded(written, changes, combinations, DEFAULT_RUNS)
-    sweep = replace(sweep, published=_published(written))
+    sweep = replace(_expanded(written, changes, combinations, DEFAULT_RUNS), published=_published(written))
     check_sweep(sweep, written.file)
     return sweep
 

@@ -292,11 +292,9 @@ def check_plan(
     found: dict[str, str] = {}
     for line in _changes(old, new):
         found.setdefault(line.rpartition("config.")[2], line)
-    changes = list(found.values())
-    if changes:
+    if changes := list(found.values()):
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
-        listed = ", ".join(changes[:3]) + more
-        raise ResultsError(f"{folder}: {what}: {listed}; {advice}")
+        raise ResultsError(f"{folder}: {what}: {', '.join(changes[:3])}{more}; {advice}")
 
 
 def check_finished(folder: Path, plan: Mapping[str, Any]) -> None:
@@ -329,8 +327,7 @@ def _changes(old: Any, new: Any, path: str = ""):
     """A line `dotted.path: old -> new` for every difference of two trees of values; hashes are left out."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in [*old, *(key for key in new if key not in old)]:
-            dotted = f"{path}.{key}" if path else str(key)
-            yield from _changes(old.get(key), new.get(key), dotted)
+            yield from _changes(old.get(key), new.get(key), f"{path}.{key}" if path else str(key))
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         for index, (before, after) in enumerate(zip(old, new, strict=True)):
             yield from _changes(before, after, f"{path}.{index}")

@@ -61,8 +61,7 @@ def run_rounds(
     """
     if launcher is not None:
         launcher.check(f"{task.config.name}-tune")
-    is_extended = resume and out is not None and is_search(out) and not is_unfinished(out)
-    if is_extended and out is not None:
+    if resume and out is not None and is_search(out) and not is_unfinished(out):
         check_plan(out, read_tuning(out).plan.model_dump(mode="json"), task.content)
         folder, is_resumed = out, False
     else:
@@ -130,8 +129,7 @@ class _Rounds:
         for number in range(task.rounds):
             folder = round_folder(self._folder, number)
             if is_unfinished(folder) or not (folder / MANIFEST).is_file():
-                points = self._search.propose(task.batch)
-                if not points:
+                if not (points := self._search.propose(task.batch)):
                     print("all values of the tuned settings have been tried")
                     break
                 if code := self._run(task.sweep(points, round_name(number)), folder):

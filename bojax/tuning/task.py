@@ -83,14 +83,11 @@ def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], 
     asked = sorted(asked, key=lambda each: each.key.count("."))
     # A setting may exist with some parts only: each value is checked beside the first ones of the others.
     firsts = {each.key: each.values[0] for each in asked}
-    ends = [
-        [
-            at(*(f"{key}={value}" for key, value in {**firsts, each.key: given}.items()))
-            for given in each.values
-        ]
-        for each in asked
-    ]
-    ends = [[sweep.points[0].config for sweep in sweeps] for sweeps in ends]
+    ends = []
+    for each in asked:
+        changes = ({**firsts, each.key: given}.items() for given in each.values)
+        sweeps = [at(*(f"{key}={value}" for key, value in items)) for items in changes]
+        ends.append([sweep.points[0].config for sweep in sweeps])
     written = config.points[0].config
     ranges = tuple(axis_of(each, configs, written) for each, configs in zip(asked, ends, strict=True))
     rounds = _rounds(options.budget, options.batch, config.runs)
@@ -111,8 +108,7 @@ def make_task(source: Source, asked: Sequence[Asked], overrides: Sequence[str], 
 
 def _rounds(budget: int | None, batch: int, runs: int) -> int:
     """The number of whole rounds in a budget."""
-    if budget is None:
-        budget = 10 * batch * runs
+    budget = 10 * batch * runs if budget is None else budget
     if budget < batch * runs:
         raise ConfigError(
             f"bojax tune: --budget: got {budget}; allowed: >= {batch * runs}, the runs of one round "
