@@ -166,7 +166,8 @@ class AttemptRegistry:
             losses, is_paused = 0, self.paused.get(chunk) == before
             last, here = self.attempt(chunk, before), process_identity(os.getpid())
             # A worker that somebody starts beside another one repeats its chunks; the other one is not lost.
-            if last is not None and last.launch == launch and not is_paused and not _is_other(last, here):
+            is_other = last is not None and last.process != here and is_gone(last.process) is False
+            if last is not None and last.launch == launch and not is_paused and not is_other:
                 # A chunk that makes progress does not kill its owners: after a commit, counting begins anew.
                 losses = last.losses + 1 if last.pieces == pieces else 1
             own = Attempt(launch, socket.gethostname(), here, pieces, losses)
@@ -235,11 +236,6 @@ def process_identity(pid: int) -> list[str] | None:
         return [boot, os.readlink("/proc/self/ns/pid"), str(pid), fields[19]]
     except OSError:
         return None
-
-
-def _is_other(attempt: Attempt, here: list[str] | None) -> bool:
-    """Whether the owner of an attempt is another process of this machine, and runs."""
-    return attempt.process != here and is_gone(attempt.process) is False
 
 
 def is_gone(process: list[str] | None) -> bool | None:

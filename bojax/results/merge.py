@@ -82,8 +82,7 @@ def merge(
     for source, target in moves:
         if source != target:  # otherwise an earlier merge has moved it
             with explained(target):
-                target.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(source, target)
+                _move(source, target)
     return Merged(
         files=files,
         errors={
@@ -200,6 +199,11 @@ def _first_run(footer: pq.FileMetaData) -> int:
     first, last = min(each.min for each in of_point), max(each.max for each in of_point)
     # Of several points, the least run may not be one of the first point: 0 is then the only safe bound.
     return _key(first, min(each.min for each in of_run) if first == last else 0)
+
+
+def _move(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(source, target)
 
 
 def _labelled(table: pa.Table, points: Sequence[Mapping[str, Any]]) -> pa.Table:
