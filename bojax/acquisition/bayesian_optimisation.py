@@ -47,15 +47,22 @@ _STREAMS = ("initial", "candidates", "relearning", "draws", "local")
 
 
 class OptimisationState(eqx.Module):
-    """State of an optimisation."""
+    """State of an optimisation.
 
-    key: Key[Array, ""]  # random key, from which every step derives its own by its number
-    # Observations, with inputs mapped to [-1, 1]^D and values in the units of the objective; kernel,
-    # noise variance and mean refer to standardised values
+    Attributes:
+        key: Random key, from which every step derives its own by its number.
+        model: Observations, with inputs mapped to [-1, 1]^D and values in the units of the objective; kernel,
+            noise variance and mean refer to standardised values.
+        num_told: Number of evaluations, including missing ones.
+        num_missing: Number of missing evaluations, whose point or value was not finite.
+        was_missing: Whether the last evaluation is missing.
+    """
+
+    key: Key[Array, ""]
     model: GaussianProcess
-    num_told: Int[Array, ""]  # number of evaluations, including missing ones
-    num_missing: Int[Array, ""]  # number of missing evaluations, whose point or value was not finite
-    was_missing: Bool[Array, ""]  # whether the last evaluation is missing
+    num_told: Int[Array, ""]
+    num_missing: Int[Array, ""]
+    was_missing: Bool[Array, ""]
 
 
 class BayesianOptimisation(eqx.Module):

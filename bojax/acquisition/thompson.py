@@ -26,9 +26,12 @@ class ThompsonSampling(eqx.Module):
 
     Unlike an acquisition function, a draw is not a function of the posterior mean and standard deviation of a
     point. `BayesianOptimisation` takes it in the place of one; planners do not.
+
+    Attributes:
+        num_features: Number of features, even.
     """
 
-    num_features: int = eqx.field(static=True, default=1024)  # number of features, even
+    num_features: int = eqx.field(static=True, default=1024)
 
     def __check_init__(self):
         check_count("num_features", self.num_features, 2)

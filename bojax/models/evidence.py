@@ -49,15 +49,20 @@ def log_normal_prior(
 
 
 class Optimum(eqx.Module):
-    """The best result over all starting points."""
+    """The best result over all starting points.
 
-    params: PyTree  # hyper-parameters, in the structure of the given ones
-    # Value of the objective. If no starting point had a finite value, it is minus infinity, and `params`
-    # are the first starting point
+    Attributes:
+        params: Hyper-parameters, in the structure of the given ones.
+        value: Value of the objective. If no starting point had a finite value, it is minus infinity, and
+            `params` are the first starting point.
+        has_converged: Whether the gradient nearly vanishes at the optimum, and no parameter is at a bound.
+        is_at_bound: Whether each parameter is at a bound, in the structure of `params`: a better value may
+            lie beyond.
+    """
+
+    params: PyTree
     value: Float[Array, ""]
-    # Whether the gradient nearly vanishes at the optimum, and no parameter is at a bound
     has_converged: Bool[Array, ""]
-    # Whether each parameter is at a bound, in the structure of `params`: a better value may lie beyond
     is_at_bound: PyTree
 
     @property

@@ -23,9 +23,11 @@ class LinearRegression(eqx.Module):
     """A linear function of the features, y = w' phi(x) (2.4); each column of `targets` is fitted separately.
 
     Features and targets may be lists, or arrays of NumPy or JAX.
+
+    Attributes:
+        weights: Weight of each feature, with a column for each target if there are several.
     """
 
-    # Weight of each feature, with a column for each target if there are several
     weights: Float[Array, "M *K"]
 
     @classmethod

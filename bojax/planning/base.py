@@ -75,9 +75,13 @@ M = TypeVar("M", bound=Motions)  # the family of trajectories of a planner
 
 
 class PathPlanner(Planner, Generic[M]):
-    """An algorithm that chooses the next path of a robot."""
+    """An algorithm that chooses the next path of a robot.
 
-    motions: eqx.AbstractVar[M]  # family of trajectories that the path is chosen from
+    Attributes:
+        motions: Family of trajectories that the path is chosen from.
+    """
+
+    motions: eqx.AbstractVar[M]
 
     @property
     @override

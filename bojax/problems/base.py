@@ -29,13 +29,17 @@ Objective = Any
 
 
 class Events(eqx.Module):
-    """Outcome of an action in the world."""
+    """Outcome of an action in the world.
 
-    # Part of the reward that depends on the world; `Problem.reward` may add a part that depends on the
-    # belief
+    Attributes:
+        reward: Part of the reward that depends on the world; `Problem.reward` may add a part that depends on
+            the belief.
+        terminated: Whether the episode has ended.
+        failed: Whether the simulation has diverged, which ends the run as failed; None if it cannot diverge.
+    """
+
     reward: eqx.AbstractVar[Float[Array, ""]]
-    terminated: eqx.AbstractVar[Bool[Array, ""]]  # whether the episode has ended
-    # Whether the simulation has diverged, which ends the run as failed; None if it cannot diverge
+    terminated: eqx.AbstractVar[Bool[Array, ""]]
     failed: eqx.AbstractVar[Bool[Array, ""] | None]
 
 

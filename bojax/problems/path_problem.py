@@ -36,16 +36,24 @@ Root = Any
 
 
 class PathEvents(Events):
-    """Outcome of the execution of a path in the world, with the fields of `Events`."""
+    """Outcome of the execution of a path in the world, with the fields of `Events`.
+
+    Attributes:
+        success: Whether the task is solved.
+        exited: Whether the robot left the domain.
+        driven: Poses of the robot in the world frame; past the pose at which it stopped, that pose is
+            repeated.
+        is_driven: Whether the robot reached each pose of the path.
+        frames: Generalised positions during the motion, for an animation; None if there is nothing to
+            animate.
+    """
 
     reward: Float[Array, ""]
     terminated: Bool[Array, ""]
-    success: Bool[Array, ""]  # whether the task is solved
-    exited: Bool[Array, ""]  # whether the robot left the domain
-    # Poses of the robot in the world frame; past the pose at which it stopped, that pose is repeated
+    success: Bool[Array, ""]
+    exited: Bool[Array, ""]
     driven: Float[Array, "S 3"]
-    is_driven: Bool[Array, "S"]  # whether the robot reached each pose of the path
-    # Generalised positions during the motion, for an animation; None if there is nothing to animate
+    is_driven: Bool[Array, "S"]
     frames: Float[Array, "F Q"] | None = None
     failed: Bool[Array, ""] | None = None
 
@@ -62,11 +70,17 @@ class PathRecord(eqx.Module):
 
 
 class Simulation(eqx.Module):
-    """Result of simulating an action sequence from a node of the search tree."""
+    """Result of simulating an action sequence from a node of the search tree.
 
-    node: Node  # belief after the first action
-    rewards: Float[Array, "H"]  # reward of each action
-    terminated: Bool[Array, "H"]  # whether the episode ends with each action; later actions are ignored
+    Attributes:
+        node: Belief after the first action.
+        rewards: Reward of each action.
+        terminated: Whether the episode ends with each action; later actions are ignored.
+    """
+
+    node: Node
+    rewards: Float[Array, "H"]
+    terminated: Bool[Array, "H"]
 
 
 class PathProblem(Problem):
@@ -75,9 +89,12 @@ class PathProblem(Problem):
     Paths are given in the robot's frame; the problem transforms them to the world frame. A planner decodes
     them from the parameters of a family of motions. `simulate` takes a whole action sequence, so that a
     problem can evaluate a node and its rollout at once.
+
+    Attributes:
+        scores: Columns of `runs.parquet` that `score` computes.
     """
 
-    scores: ClassVar[Table] = ()  # columns of `runs.parquet` that `score` computes
+    scores: ClassVar[Table] = ()
 
     def with_objective(self, objective: Objective) -> "PathProblem":
         """The problem with what `root` prepares for the objective of a planner; itself by default."""

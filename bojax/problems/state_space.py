@@ -69,9 +69,11 @@ class StateProblem(StateModel, Problem):
     """A planning problem whose world is a state of a model, and whose belief is a set of particles.
 
     A subclass defines the model: `actions`, `initial`, `step`, `observe` and `log_likelihood`.
+
+    Attributes:
+        num_particles: Particles of the belief between plans.
     """
 
-    # Particles of the belief between plans
     num_particles: int = eqx.field(static=True, default=10_000, kw_only=True)
     samples_belief: ClassVar[bool] = True
 

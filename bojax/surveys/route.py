@@ -63,15 +63,21 @@ class RouteOptions:
 
 @dataclass(frozen=True)
 class Route:
-    """A planned route of a robot; what is said of its error holds for those of all robots together."""
+    """A planned route of a robot; what is said of its error holds for those of all robots together.
 
-    waypoints: Waypoints  # waypoints, start and end included, m
-    length: float  # length along straight pieces, m; at most the budget
-    # Root mean squared error over the area that is expected after the route, averaged over the plausible
-    # beliefs
+    Attributes:
+        waypoints: Waypoints, start and end included, m.
+        length: Length along straight pieces, m; at most the budget.
+        error: Root mean squared error over the area that is expected after the route, averaged over the
+            plausible beliefs.
+        chosen: Name of the candidate: a first guess as given, or "optimised from ...".
+        candidates: Error of every candidate that keeps the budget and stays in the area, best first.
+    """
+
+    waypoints: Waypoints
+    length: float
     error: float
-    chosen: str  # name of the candidate: a first guess as given, or "optimised from ..."
-    # Error of every candidate that keeps the budget and stays in the area, best first
+    chosen: str
     candidates: dict[str, float]
 
 
