@@ -3,7 +3,6 @@
 `python -m bojax.config.reference` writes `docs/settings.md` and the pages in `docs/settings`.
 """
 
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -120,4 +119,4 @@ def _about(schema: type[pydantic.BaseModel]) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1] if sys.argv[1:] else "docs"))
+    write(Path("docs"))

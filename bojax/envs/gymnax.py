@@ -13,20 +13,33 @@ from bojax.envs.spaces import Box, Space
 
 
 class Episode(eqx.Module):
-    """The state of an environment within an episode."""
+    """The state of an environment within an episode.
+
+    Attributes:
+        state: State of the environment.
+        time: Number of steps since the reset.
+    """
 
     state: EnvState
     time: Int[Array, ""]
 
 
 class GymnaxSpace(eqx.Module):
-    """A space with the attributes of gymnax's spaces."""
+    """A space with the attributes of gymnax's spaces.
 
-    n: int | None = eqx.field(static=True)  # number of elements of a discrete space; None for a box
-    low: Array  # lower bounds of a box; 0 for a discrete space
-    high: Array  # upper bounds, which belong to the space
-    shape: tuple[int, ...] = eqx.field(static=True)  # of an element
-    dtype: Any = eqx.field(static=True)  # of an element
+    Attributes:
+        n: Number of elements of a discrete space; None for a box.
+        low: Lower bounds of a box; 0 for a discrete space.
+        high: Upper bounds, which belong to the space.
+        shape: Shape of an element.
+        dtype: Data type of an element.
+    """
+
+    n: int | None = eqx.field(static=True)
+    low: Array
+    high: Array
+    shape: tuple[int, ...] = eqx.field(static=True)
+    dtype: Any = eqx.field(static=True)
 
     def sample(self, key: Key[Array, ""]) -> Array:
         """A uniform draw."""

@@ -301,8 +301,13 @@ class GaussianProcess(eqx.Module):
         """The row that an observation at `x` appends to `whiten(xs)`.
 
         Existing rows never change. A caller that predicts at the same `xs` after every observation can keep
-        `whitened_xs`, `whiten(xs)`, and append this row: N M products instead of N^2 M. `whitened` is that of
-        `x`.
+        `whitened_xs` and append this row: N M products instead of N^2 M.
+
+        Args:
+            x: Input of the observation.
+            whitened: `whiten` of `x`.
+            xs: Points of the predictions.
+            whitened_xs: `whiten` of `xs`, before the observation.
         """
         inverse_pivot = 1.0 / self._next_pivot(x, whitened, None)
         return (self.kernel.gram(x[None, :], xs)[0] - matmul(whitened, whitened_xs)) * inverse_pivot

@@ -24,12 +24,19 @@ from bojax.numerics.pallas import either
 
 
 class LookaheadRoot(eqx.Module):
-    """The posterior at the root, with quantities that all nodes of a plan share."""
+    """The posterior at the root, with quantities that all nodes of a plan share.
 
-    posterior: GaussianProcess  # belief at the root
-    whitened: Float[Array, "N"]  # L^-1 (y - m(X))
-    weights: Float[Array, "N"]  # (K + noise)^-1 (y - m(X))
-    places: Places | None = None  # places whose variance counts; None if nothing asks for them
+    Attributes:
+        posterior: Belief at the root.
+        whitened: L^-1 (y - m(X)).
+        weights: (K + noise)^-1 (y - m(X)).
+        places: Places whose variance counts; None if nothing asks for them.
+    """
+
+    posterior: GaussianProcess
+    whitened: Float[Array, "N"]
+    weights: Float[Array, "N"]
+    places: Places | None = None
 
     @classmethod
     def of(cls, posterior: GaussianProcess, places: Places | None = None) -> "LookaheadRoot":
@@ -38,11 +45,17 @@ class LookaheadRoot(eqx.Module):
 
 
 class Lookahead(eqx.Module):
-    """Beliefs about the points of each stage, before the observations of that stage."""
+    """Beliefs about the points of each stage, before the observations of that stage.
 
-    mean: Float[Array, "B"]  # posterior means
-    variance: Float[Array, "B"]  # posterior variances of the noise-free function
-    gradient: Float[Array, "B D"] | None  # gradients of the posterior means; None unless requested
+    Attributes:
+        mean: Posterior means.
+        variance: Posterior variances of the noise-free function.
+        gradient: Gradients of the posterior means; None unless requested.
+    """
+
+    mean: Float[Array, "B"]
+    variance: Float[Array, "B"]
+    gradient: Float[Array, "B D"] | None
 
 
 def look_ahead(

@@ -59,14 +59,23 @@ class PathEvents(Events):
 
 
 class PathRecord(eqx.Module):
-    """Record of an episode."""
+    """Record of an episode.
 
-    success: Bool[Array, ""]  # whether the task has been solved
-    exited: Int[Array, ""]  # number of times that the robot has left the domain
-    start: Float[Array, "3"]  # initial pose
-    paths: Float[Array, "T S 3"]  # poses driven, in the world frame; NaN for steps not taken
-    plans: Float[Array, "T S 3"]  # planned paths, in the robot's frame; NaN for steps not taken
-    frames: Float[Array, "T F Q"] | None  # frames of an animation, see `PathEvents`; NaN for steps not taken
+    Attributes:
+        success: Whether the task has been solved.
+        exited: Number of times that the robot has left the domain.
+        start: Initial pose.
+        paths: Poses driven, in the world frame; NaN for steps not taken.
+        plans: Planned paths, in the robot's frame; NaN for steps not taken.
+        frames: Frames of an animation, see `PathEvents`; NaN for steps not taken.
+    """
+
+    success: Bool[Array, ""]
+    exited: Int[Array, ""]
+    start: Float[Array, "3"]
+    paths: Float[Array, "T S 3"]
+    plans: Float[Array, "T S 3"]
+    frames: Float[Array, "T F Q"] | None
 
 
 class Simulation(eqx.Module):

@@ -59,10 +59,15 @@ class StateEvents(Events):
 
 
 class Observed(eqx.Module):
-    """What is observed of a step."""
+    """What is observed of a step.
 
-    values: Float[Array, "O"]  # the observation
-    terminated: Bool[Array, ""]  # whether the episode has ended
+    Attributes:
+        values: The observation.
+        terminated: Whether the episode has ended.
+    """
+
+    values: Float[Array, "O"]
+    terminated: Bool[Array, ""]
 
 
 class StateProblem(StateModel, Problem):
