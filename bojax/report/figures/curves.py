@@ -75,7 +75,8 @@ def learning_curves(results: Results) -> Drawing:
                 tables = [rolling_mean(each.returns[:, : results.num_episodes], rolling) for each in others]
                 pairs = zip((each.point for each in others), tables, strict=True)
                 curves += [Curve.numbered(*pair, first=1) for pair in pairs]
-            missing = "A run that ended otherwise is left out after its last episode." * (phase == "train")
+            left_out = "A run that ended otherwise is left out after its last episode."
+            missing = left_out if phase == "train" else ""
             panels.append(Panel(label, quantity, curves, missing=missing))
     best = results.report.best_return
     chart, is_cut = Chart(panels, "episode"), False
