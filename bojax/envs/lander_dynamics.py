@@ -97,8 +97,13 @@ def apply_engines(
     """The state after the impulses of the engines during one step.
 
     As in Gym, the magnitude of an impulse is proportional to the distance of the engine from the hull's
-    origin, noise included. Impulses are in N s for a distance of 1 m; 0 is off, and positive ones of the side
-    engines push to the right. The noise is a random displacement of the engines, in pixels of Gym's window.
+    origin, noise included.
+
+    Args:
+        state: State before the impulses.
+        main: Impulse of the main engine for a distance of 1 m, in N s; 0 is off.
+        side: Impulse of the side engines for a distance of 1 m; positive values push to the right.
+        noise: Random displacement of the engines, in pixels of Gym's window.
     """
     first, second = noise * geometry.PIXEL
     below = _rotated(jnp.stack([-second, -geometry.MAIN_ENGINE - 2.0 * first]), state.angle)

@@ -45,8 +45,12 @@ def refined_action(
 ) -> Action:
     """Pattern search: each step moves to the best of the action and two neighbours along each dimension.
 
-    The neighbours are at a distance of `spacing`, `[A]`, in the first step, and of half the last one in every
-    further step. `scores` is the objective at a set of actions, `[J, A] -> [J]`.
+    Args:
+        scores: Objective at a set of actions, `[J, A] -> [J]`.
+        action: Action to start from.
+        space: Bounds of actions.
+        spacing: Distance of the neighbours in the first step, `[A]`; it is halved in every further step.
+        steps: Number of steps.
     """
 
     def improve(i, action):

@@ -39,8 +39,14 @@ def arrays(tree: PyTree[Array]) -> dict[str, Array]:
 def save(folder: Path, content: Mapping[str, Any]) -> Callable[[], None]:
     """Copy arrays to the host, and begin to write them to a folder, which appears once it is complete.
 
-    The arrays may be given away as soon as this returns. What it returns waits for the end, and raises a
-    `ResultsError` as `save` does.
+    The arrays may be given away as soon as this returns.
+
+    Args:
+        folder: The folder, which must not exist.
+        content: The arrays, also in nested dictionaries.
+
+    Returns:
+        A function that waits for the end; it raises a `ResultsError` as `save` does.
 
     Raises:
         ResultsError: The folder cannot be written; nothing of it is left.
@@ -68,7 +74,10 @@ def restore(
 ) -> PyTree[Array]:
     """Read a tree of the given structure; a leaf without a sharding is placed on the first device.
 
-    `advice` ends the error message; by default, it says how to resume without this checkpoint.
+    Args:
+        folder: Folder to which the `arrays` of a tree were saved.
+        structure: Shapes, dtypes and shardings of the leaves.
+        advice: Advice that ends the error message; by default, how to resume without this checkpoint.
 
     Raises:
         ResultsError: The folder is missing, damaged, or holds a tree of another structure.

@@ -154,8 +154,12 @@ def guarded_cholesky(
     """The first columns of the Cholesky factor of a covariance matrix, and the inverse of its leading block.
 
     In exact arithmetic, no squared pivot is less than the noise variance on the diagonal; a squared pivot
-    that rounding takes below this value, `least` of its row, is raised to it. All columns are computed by
-    default.
+    that rounding takes below this value is raised to it.
+
+    Args:
+        a: Covariance matrix, with the noise variances on its diagonal.
+        least: Noise variance of each row.
+        num: Number of columns; all by default.
     """
     # Gaussian elimination of [a | I] in elementwise arithmetic: LAPACK's factor is NaN if rounding makes the
     # matrix indefinite, as in a difference of two nearly equal matrices. Step k zeroes column k of `a` below

@@ -110,9 +110,15 @@ def launch(
 ) -> Sequence[jax.Array]:
     """The results of a kernel for a single lane; `vmap` adds the lanes to its grid. A CPU interprets it.
 
-    `body` reads references to the arguments, and writes to those of the results, which come after them. The
-    `grid` is that of the programs of a lane, and `stages` the iterations of a loop whose operands Triton
-    loads at a time. Arguments `in_place` are copied to a result before the kernel starts, as numbers of both.
+    Args:
+        body: Reads references to the arguments, and writes to those of the results, which come after them.
+        results: Shapes of the results.
+        args: The arguments.
+        name: Name of the kernel, for profilers.
+        grid: Number of programs of a lane.
+        warps: Number of warps of a program.
+        stages: Number of iterations of a loop whose operands Triton loads at a time.
+        in_place: Arguments that are copied to a result before the kernel starts, as numbers of both.
     """
     pallas, triton = imported()
     call = pallas.pallas_call(

@@ -27,12 +27,20 @@ LEAST = 64
 def while_going(
     is_going: Callable[[T], Bool[Array, ""]], step: Callable[[Int[Array, ""], T], T], state: T
 ) -> T:
-    """The last state of `state = step(number, state)`, repeated while `is_going(state)` from number 0 on.
+    """Repeat `state = step(number, state)` while `is_going(state)`, for number = 0, 1, ...
 
     In a batch, each step of a loop computes all lanes until the last one ends. Here, the few lanes that go on
     longest are gathered into a batch of their own, with all arrays that `step` reads, and finish there. The
-    program contains the step twice. A lane that is not going must not go on again, and the step must leave
-    what the caller reads of its state unchanged.
+    program contains the step twice.
+
+    Args:
+        is_going: Whether a lane goes on.
+        step: The step. A lane that is not going must not go on again, and the step must leave what the caller
+            reads of its state unchanged.
+        state: First state.
+
+    Returns:
+        The last state.
     """
     leaves, structure = jax.tree.flatten(state)
 
