@@ -12,7 +12,7 @@ from bojax.report.league.aims import MISSED, OPEN, REACHED, Aim, Comparison, jud
 from bojax.report.league.results import CELLS, League
 from bojax.report.tables import Cell, Table
 from bojax.report.template import fill
-from bojax.report.text import counted, joined, line, number
+from bojax.report.text import counted, joined, line, number, ranged
 from bojax.results.store import read_json, write_content
 
 METHODS = ("bojax", "lawnmower", "lawnmower from a corner", "SGP-Tools", "myopic", "random")
@@ -68,12 +68,10 @@ def _summary(league: League, aims: list[Aim]) -> str:
     verdicts = [aim.verdict for aim in aims]
     kinds = joined(f"{verdicts.count(kind)} {kind}" for kind in (REACHED, MISSED, OPEN) if kind in verdicts)
     real = sum(field["is_real"] for field in league.about["fields"].values())
-    starts = {len(by_start) for by_start in league.errors.values()}
-    few, many = min(starts), max(starts)
-    count = f"{many}" if few == many else f"{few} to {many}"
+    starts = ranged((len(by_start) for by_start in league.errors.values()), "start")
     return (
         f"{counted(real, 'real field')} and {len(league.fields) - real} synthetic ones on 10 x 10 units, "
-        f"routes of length {joined(league.lengths)} from {count} starts. "
+        f"routes of length {joined(league.lengths)} from {starts}. "
         f"Of {counted(len(aims), 'aim')}, {kinds}."
     )
 
