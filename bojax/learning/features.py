@@ -165,6 +165,66 @@ class FourierFeatures(StateActionFeatures):
         return len(self.phases) // (1 + self.has_sines)
 
 
+class FourierBasisMap(StateActionFeatures):
+    """The Fourier basis (5.23) of a state and an action: a cosine for each pair of frequencies of the two.
+
+    The pairs are in the order of the action's frequencies, and for each of these in that of the state's. With
+    the cosines and sines of a state as the two rows of X, and the cosines and negative sines of an action as
+    those of Y, phi is Y'X, since cos(s + a) = cos s cos a - sin s sin a.
+    """
+
+    observations: Space  # bounds of observations, which are mapped to [0, 1]
+    actions: Space  # bounds of actions, likewise
+    state_frequencies: Float[Array, "I D"]  # angular frequencies along each observation, in radians per range
+    action_frequencies: Float[Array, "K A"]  # angular frequencies along each action dimension
+
+    @property
+    @override
+    def num_features(self) -> int:
+        return len(self.state_frequencies) * len(self.action_frequencies)
+
+    @override
+    def state(self, observation: Observation) -> Float[Array, "P"]:
+        """Cosines and sines of the state's part of the angles."""
+        unit = self.observations.to_unit(observation).astype(self.state_frequencies.dtype)
+        return jnp.concatenate(cos_and_sin(matmul(self.state_frequencies, unit)))
+
+    @override
+    def action(self, action: Action) -> Float[Array, "R"]:
+        """Cosines and negative sines of the action's part of the angles."""
+        unit = self.actions.to_unit(action).astype(self.action_frequencies.dtype)
+        return jnp.concatenate(cos_and_sin(-matmul(self.action_frequencies, unit)))
+
+    @override
+    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
+        return matmul(y.reshape(2, -1).T, x.reshape(2, -1)).ravel()
+
+    @override
+    def values(
+        self, weights: Float[Array, "M"], observation: Observation, actions: Action
+    ) -> Float[Array, "J"]:
+        # The weights meet the waves of the state once for all actions, which leaves two numbers for each
+        # frequency of the action. For 15 actions of a double pendulum with order 3, it saves 240,000 cosines.
+        waves = self.state(observation).reshape(2, -1)
+        sums = matmul(waves, weights.reshape(-1, waves.shape[1]).T)
+        return matmul(jax.vmap(self.action)(actions), sums.ravel())
+
+    @override
+    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
+        waves = y.reshape(2, -1)
+        return matmul(waves, weights.reshape(waves.shape[1], -1)).ravel()
+
+    @override
+    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
+        by_pair = matrix.reshape(2 * (len(self.action_frequencies), len(self.state_frequencies)))
+
+        def form(moments):
+            return jnp.einsum("rpsq,rs->pq", by_pair, moments, precision=HIGHEST)
+
+        quarters = _quarters(matmul(ys.T, ys) / len(ys))
+        return jnp.block([[form(moments) for moments in row] for row in quarters])
+
+
 class ProductFeatures(StateActionFeatures):
     """Features whose phi is the outer product of x and y."""
 
@@ -283,7 +343,10 @@ class RandomFourierSpec(FeatureSpec):
             phases = jnp.concatenate([jnp.zeros((number,), dtype), jnp.full((number,), -0.5 * jnp.pi, dtype)])
         else:
             phases = jax.random.uniform(key_phases, (number,), dtype, maxval=2.0 * jnp.pi)
-        return _fourier(observation_space, action_space, frequencies, phases, amplitude, has_sines)
+        of_state, of_action = jnp.split(frequencies, [num_observations], axis=1)
+        return FourierFeatures(
+            observation_space, action_space, of_state, of_action, phases, amplitude, has_sines
+        )
 
 
 class FourierBasisSpec(FeatureSpec):
@@ -305,11 +368,12 @@ class FourierBasisSpec(FeatureSpec):
     @override
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
-    ) -> FourierFeatures:
-        basis = FourierBasis(self.order, observation_space.num_dims + action_space.num_dims)
-        frequencies = jnp.asarray(basis.frequencies(), dtype)
-        phases, amplitude = jnp.zeros((len(frequencies),), dtype), jnp.ones((), dtype)
-        return _fourier(observation_space, action_space, frequencies, phases, amplitude, has_sines=False)
+    ) -> FourierBasisMap:
+        of_state, of_action = (
+            jnp.asarray(FourierBasis(self.order, space.num_dims).frequencies(), dtype)
+            for space in (observation_space, action_space)
+        )
+        return FourierBasisMap(observation_space, action_space, of_state, of_action)
 
 
 class OneHotSpec(FeatureSpec):
@@ -328,13 +392,6 @@ class OneHotSpec(FeatureSpec):
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> OneHotFeatures:
         return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
-
-
-def _fourier(
-    observations: Space, actions: Space, frequencies: Array, phases: Array, amplitude: Array, has_sines: bool
-) -> FourierFeatures:
-    of_state, of_action = jnp.split(frequencies, [observations.num_dims], axis=1)
-    return FourierFeatures(observations, actions, of_state, of_action, phases, amplitude, has_sines)
 
 
 def _quarters(matrix: Float[Array, "M M"]) -> list[list[Float[Array, "F F"]]]:

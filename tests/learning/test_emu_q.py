@@ -12,7 +12,7 @@ from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning import refit, refit_policy
 from bojax.learning.base import Episode, Transition
-from bojax.learning.features import FourierFeatures
+from bojax.learning.features import FourierBasisMap, FourierFeatures
 from bojax.learning.settings import (
     EMUQ,
     EMUQPublished,
@@ -405,6 +405,9 @@ def test_features_are_bilinear():
         np.testing.assert_allclose(weights @ phi, product, atol=1e-12)
         np.testing.assert_allclose(form, np.mean([phi @ matrix @ phi for phi in phis]), atol=1e-12)
         np.testing.assert_allclose(values, phis @ weights, atol=1e-12)
+        if isinstance(features, FourierBasisMap):
+            every = np.indices((3, 3, 3)).reshape(3, -1).T  # (5.23) of the action and both observations
+            np.testing.assert_allclose(phi, np.cos(np.pi * every @ np.roll(unit, 1)), atol=1e-12)
         if isinstance(features, FourierFeatures):
             frequencies = np.concatenate([features.state_frequencies, features.action_frequencies], axis=1)
             angles = frequencies @ unit + np.asarray(features.phases)
