@@ -61,6 +61,7 @@ class Transitions(eqx.Module):
     phi: Float[Array, "T M"]  # phi(s, a) of the first transitions
     x: Float[Array, "T P"]  # x(s') of the first transitions
     block: int = eqx.field(static=True)  # number of transitions in a block
+    stored_block: int = eqx.field(static=True)  # the same of stored features
 
     @classmethod
     def of(cls, state: EMUQState, block: int, with_phi: bool) -> "Transitions":
@@ -80,7 +81,10 @@ class Transitions(eqx.Module):
         shapes = jax.eval_shape(features_of, state, state.memory)
         start = tuple(jnp.zeros((number, *shape.shape[1:]), shape.dtype) for shape in shapes)
         phi, x = state.memory.fold(visit, start, block, end=number)
-        return cls(state, phi, x, block)
+        # On a GPU, XLA copies each block before its products. All stored features as one block, which is not
+        # copied, take a sweep as long as one block of 512. Without phi, that gains next to nothing.
+        is_whole = with_phi and jax.default_backend() != "cpu"
+        return cls(state, phi, x, block, number if is_whole else block)
 
     def fold(self, function, start):
         """Fold a function `(carry, rows) -> carry` over blocks of transitions, where `rows` is a `Rows`."""
@@ -95,7 +99,7 @@ class Transitions(eqx.Module):
         # The first transitions are read from the arrays, later ones are computed again in every pass: stored,
         # they would take gigabytes in a batch.
         memory, number = self.state.memory, len(self.phi)
-        carry = memory.fold(stored, start, self.block, end=number)
+        carry = memory.fold(stored, start, self.stored_block, end=number)
         return memory.fold(recomputed, carry, self.block, first=number)
 
 
