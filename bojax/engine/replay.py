@@ -13,7 +13,7 @@ from bojax.engine.build import build
 from bojax.engine.hosted import seed_of
 from bojax.envs.settings import Gymnasium
 from bojax.envs.spaces import Discrete
-from bojax.experiments.learning import reset_key, shares_start
+from bojax.experiments.learning_episodes import reset_key, shares_start
 from bojax.results.store import ResultsError
 
 PICTURE = "rgb_array"

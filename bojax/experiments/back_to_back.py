@@ -6,7 +6,6 @@ learns from whole episodes needs that, since its refits are expensive and all la
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -16,12 +15,10 @@ from jaxtyping import Array, ArrayLike, Bool, Int, Key, UInt32
 
 from bojax.experiments.base import Records
 from bojax.experiments.episode import EpisodeState, where
+from bojax.experiments.learning_episodes import LearningEpisodes, RunState
 from bojax.experiments.phases import Phase, run_block
 from bojax.learning.base import ExplorationState, LearnerState
 from bojax.numerics.lanes import any_lane, batched_together
-
-if TYPE_CHECKING:
-    from bojax.experiments.learning import LearningRun, RunState
 
 MOST_STEPS = 2048
 """Largest number of steps of a lane in an advance, unless a single episode may have more."""
@@ -38,7 +35,7 @@ def episodes_in_advance(max_steps: int) -> int:
 class _Lane(eqx.Module):
     """What a lane carries from one block of steps to the next."""
 
-    run: "RunState"  # the run after the episodes that have ended, without its key and its learner
+    run: RunState  # the run after the episodes that have ended, without its key and its learner
     episode: EpisodeState  # the current episode, `_alone`
     # What the current episode has of its phase
     acting: ExplorationState
@@ -56,17 +53,17 @@ class _Lane(eqx.Module):
         """Whether the current episode has ended, and has not been counted yet."""
         return self.is_open & ~self.episode.is_active
 
-    def run_with(self, key: Key[Array, ""]) -> "RunState":
+    def run_with(self, key: Key[Array, ""]) -> RunState:
         """The run with its key, which no lane changes."""
         return eqx.tree_at(lambda run: run.key, self.run, key, is_leaf=lambda leaf: leaf is None)
 
-    def phase(self, run: "LearningRun", key: Key[Array, ""]) -> Phase:
+    def phase(self, run: LearningEpisodes, key: Key[Array, ""]) -> Phase:
         """The phase of the current episode of a run with a key."""
         training, own = run.training(self.run_with(key)), jax.random.wrap_key_data(self.key)
         return replace(training, acting=self.acting, exploration=self.exploration, key=own)
 
 
-def run_back_to_back(run: "LearningRun", carry: "RunState") -> tuple["RunState", Records]:
+def run_back_to_back(run: LearningEpisodes, carry: RunState) -> tuple[RunState, Records]:
     """Advance a run by training episodes, as long as `MOST_STEPS` leaves room for another one."""
     block = run.learner.block
     room = run.env.max_steps * episodes_in_advance(run.env.max_steps)
@@ -98,7 +95,7 @@ def run_back_to_back(run: "LearningRun", carry: "RunState") -> tuple["RunState",
     return replace(lane.run_with(carry.key), learner=learner), records
 
 
-def _first(run: "LearningRun", carry: "RunState", room: int) -> _Lane:
+def _first(run: LearningEpisodes, carry: RunState, room: int) -> _Lane:
     """A lane before its first episode, in which nothing has a value yet."""
 
     def begin() -> tuple[EpisodeState, dict[str, Array]]:
@@ -124,7 +121,7 @@ def _first(run: "LearningRun", carry: "RunState", room: int) -> _Lane:
     )
 
 
-def _turn(run: "LearningRun", key: Key[Array, ""], lane: _Lane, rows: Array, room: int) -> _Lane:
+def _turn(run: LearningEpisodes, key: Key[Array, ""], lane: _Lane, rows: Array, room: int) -> _Lane:
     """Count the episode where it has ended, and begin the next one if there is room for it."""
     episode, longest, ends = lane.episode, run.env.max_steps, lane.has_ended
     own = jax.lax.dynamic_slice_in_dim(rows, lane.first, longest)
@@ -158,7 +155,7 @@ def _turn(run: "LearningRun", key: Key[Array, ""], lane: _Lane, rows: Array, roo
     )
 
 
-def _without_key(run: "RunState") -> "RunState":
+def _without_key(run: RunState) -> RunState:
     return eqx.tree_at(lambda run: run.key, run, None)
 
 

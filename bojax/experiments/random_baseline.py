@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.base import Env
-from bojax.experiments.learning import Starts, env_of_run, reset_key, shares_start
+from bojax.experiments.learning_episodes import Starts, env_of_run, reset_key, shares_start
 from bojax.numerics.lanes import LANES, any_lane
 
 

@@ -420,7 +420,7 @@ class Mission:
 
     def save(self, path: str | Path) -> None:
         """Write the mission to a file, which is replaced at once or not at all."""
-        write_mission(self, Path(path))
+        write_mission(vars(self), Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> "Mission":

@@ -3,8 +3,9 @@
 import dataclasses
 import json
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,6 @@ from bojax.surveys.polylines import length_of
 from bojax.surveys.route import Robot, Route, RouteOptions
 from bojax.surveys.validation import positions
 
-if TYPE_CHECKING:
-    from bojax.surveys.mission import Mission
-
 SETTINGS = ("spacing", "relearn_every", "seed", "separation", "_plans")
 """Attributes of a mission that are saved as JSON."""
 
@@ -26,26 +24,24 @@ _OF_MEASUREMENTS = ("hyperparameters", "medians", "shift", "scale", "learned_at"
 """Attributes of its measurements; except for the first, their names in a file begin with an underscore."""
 
 
-def write_mission(mission: "Mission", path: Path) -> None:
-    """Write a mission to a file, which is replaced at once or not at all."""
-    plain: dict[str, Any] = {name: getattr(mission, name) for name in SETTINGS}
-    plain |= {_in_file(name): getattr(mission.measured, name) for name in _OF_MEASUREMENTS}
-    plain["remaining"], plain["_time"] = zip(
-        *((robot.remaining, robot.time) for robot in mission.robots), strict=True
-    )
-    plain["counts"], plain["options"] = dict(mission.counts), dataclasses.asdict(mission.options)
-    zones, region = _zones(mission.area), _zones(mission.goal.region)
-    plain["goal"] = mission.goal.kind, mission.goal.threshold, [len(zone) for zone in region]
+def write_mission(mission: Mapping[str, Any], path: Path) -> None:
+    """Write the attributes of a mission to a file, which is replaced at once or not at all."""
+    area, goal, measured, robots = (mission[name] for name in ("area", "goal", "measured", "robots"))
+    plain: dict[str, Any] = {name: mission[name] for name in SETTINGS}
+    plain |= {_in_file(name): getattr(measured, name) for name in _OF_MEASUREMENTS}
+    plain |= {"remaining": [robot.remaining for robot in robots], "_time": [robot.time for robot in robots]}
+    plain["counts"], plain["options"] = dict(mission["counts"]), dataclasses.asdict(mission["options"])
+    zones, region = _zones(area), _zones(goal.region)
+    plain["goal"] = goal.kind, goal.threshold, [len(zone) for zone in region]
     plain["rings"] = [len(zone) for zone in zones]
     rings = [ring for zone in zones + region for ring in zone]
     arrays: dict[str, Any] = {f"ring_{index}": ring for index, ring in enumerate(rings)}
-    arrays |= {"x": mission.measured.x, "y": mission.measured.y}
-    arrays["position"] = [robot.position for robot in mission.robots]
+    arrays |= {"x": measured.x, "y": measured.y, "position": [robot.position for robot in robots]}
     nothing = np.zeros((0, 2))
-    arrays["end"] = [robot.end for robot in mission.robots if robot.end is not None] or nothing
+    arrays["end"] = [robot.end for robot in robots if robot.end is not None] or nothing
     arrays |= {
         f"route{number or ''}": nothing if robot.route is None else robot.route.waypoints
-        for number, robot in enumerate(mission.robots)
+        for number, robot in enumerate(robots)
     }
     text = json.dumps(plain, default=np.generic.item)  # users may give numbers of NumPy
     write_arrays(path, {"plain": np.asarray(text), **arrays})

@@ -13,7 +13,8 @@ from bojax.config.sweep import load_config
 from bojax.engine import baseline
 from bojax.engine.build import build
 from bojax.envs.settings import Chain, PointMaze
-from bojax.experiments.learning import LearningRun, env_of_run, reset_key, shares_start
+from bojax.experiments.learning import LearningRun
+from bojax.experiments.learning_episodes import env_of_run, reset_key, shares_start
 from bojax.experiments.random_baseline import random_episodes
 from bojax.experiments.settings import Learning
 from bojax.results.baseline import FILE
