@@ -300,13 +300,13 @@ def agrees(results: Results, test: Agrees) -> Finding:
         what = f"Welch's 95% interval of the difference between our mean {name}"
         rule = "to contain 0"
     is_close = -tolerance < interval.low and interval.high < tolerance
-    comparison = Comparison(f"{name} of {label} - thesis's", interval)
+    comparison = Comparison(f"{name} of {label} - published", interval)
     return Finding(
         ours=estimate,
         verdict="not reproduced" if is_apart else "reproduced" if is_close else "inconclusive",
         comparisons=[comparison],
         decisive=comparison,
         runs=size,
-        method=f"{what}, {ours}, and the thesis's, {theirs}: it has to lie within ±{tolerance:g}, and {rule}",
+        method=f"{what}, {ours}, and the published one, {theirs}: it has to lie within ±{tolerance:g}, and {rule}",
         chosen=chosen,
     )

@@ -107,7 +107,7 @@ class SweepProgress:
         with self._lock:
             group.has_failed = True
             self._failed += num_runs
-            self.say(f"failed: {group.name}, {num_runs} runs: {reason}")
+            self.say(f"failed: {group.name}, {num_runs} run{'s' if num_runs > 1 else ''}: {reason}")
 
     def tick(self) -> None:
         """Show the progress if it has not been shown for a while: the time left changes meanwhile.

@@ -133,7 +133,7 @@ class TestPage:
         text = Page((folder / "report.html").read_text()).text
         assert text.count("✓ reproduced") == 2
         # The interval is that of the difference, and does not stand beside our mean.
-        assert "episodes_to_goal of emu-q − thesis's" in text
+        assert "episodes_to_goal of emu-q − published" in text
 
 
 class TestCurves:
