@@ -307,6 +307,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
         comparisons=[comparison],
         decisive=comparison,
         runs=size,
-        method=f"{what}, {ours}, and the published one, {theirs}: it has to lie within ±{tolerance:g}, and {rule}",
+        method=f"{what}, {ours}, and the published one, {theirs}: it has to lie within ±{tolerance:g}, and "
+        + rule,
         chosen=chosen,
     )

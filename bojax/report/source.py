@@ -34,6 +34,7 @@ from bojax.results.outline import Outline
 from bojax.results.store import (
     ARRAYS,
     MANIFEST,
+    TUNING,
     WORK,
     ResultsError,
     array_file,
@@ -355,6 +356,9 @@ def load(folder: Path) -> Results:
     if not os.path.isdir(folder):  # unlike `Path.is_dir`, false for a name that no file can have
         what = "a file, not a results folder" if os.path.exists(folder) else "no such results folder"
         raise ResultsError(f"{folder}: {what}")
+    if (folder / TUNING).exists():
+        best = f"its best point is the config {folder}/best.yaml"
+        raise ResultsError(f"{folder}: a search of bojax tune, whose rounds are results folders; {best}")
     if not (folder / MANIFEST).exists() and (newest := _newest_below(folder)):
         raise ResultsError(f"{folder}: not a results folder; the newest below it is {newest}")
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():

@@ -23,6 +23,7 @@ MANIFEST = "manifest.json"
 ARRAYS = "arrays"
 LEARNERS = "learners"
 WORK = ".work"
+TUNING = "tuning.json"  # of a search by `bojax tune`: its plan, its points, and the posterior of its model
 """Name of the hidden folder of pieces and checkpoints, which only an unfinished results folder has."""
 
 OUTPUT = "slurm-{}.out"

@@ -20,11 +20,8 @@ from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
 from bojax.report.template import fill
 from bojax.report.text import capitalised, counted, heading, joined, number, plain
-from bojax.results.store import MANIFEST, ResultsError, read_json, read_manifest, write_content
+from bojax.results.store import MANIFEST, TUNING, ResultsError, read_json, read_manifest, write_content
 from bojax.tuning.ranges import described
-
-TUNING = "tuning.json"
-"""The file of a search that is finished: its plan, its points, and the posterior of its model."""
 
 MOST_RANKED = 50  # number of points in the table
 

@@ -23,9 +23,8 @@ from bojax.optimisation.space import slice_along
 from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import Point, load
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
-from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
+from bojax.results.store import MANIFEST, TUNING, ResultsError, write_content, write_json
 from bojax.tuning.page import (
-    TUNING,
     build_page,
     is_search,
     read_tuning,

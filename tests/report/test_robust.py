@@ -225,6 +225,8 @@ def test_what_is_no_results_folder_is_told_in_a_line(tmp_path, refusal):
         write_results(folder, runs=2, recorded=0)
         told = f"{tmp_path}/{above}: not a results folder; the newest below it is {folder}"
         assert refusal(f"report {tmp_path}/{above}") == told
+    (tmp_path / "two" / "tuning.json").write_text("{}")  # as a search leaves it beside its rounds
+    assert f"{tmp_path}/two/best.yaml" in refusal(f"best {tmp_path}/two")
 
 
 @pytest.mark.parametrize(("patience", "lines"), [(0.0, 1), (1e9, 0)])
