@@ -209,10 +209,17 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.write_line(f"most memory of the workers, GiB: {sizes}")
 
 
-_MOST_MEMORY = 2_500_000
-"""KiB of a worker after which compiled programs are dropped."""
+def _most_memory() -> int:
+    """KiB of a worker after which compiled programs are dropped, 5 GB at most.
 
-_MOST_MAPS = 30_000
+    The workers together take half of the machine's memory, unless that is less than they need.
+    """
+    machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 1024
+    own = machine // 2 // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    return min(max(2_500_000, own), 5_000_000)
+
+
+_MOST_MAPS = 50_000
 """Memory mappings after which they are; Linux ends a process that wants 65,530 of them."""
 
 
@@ -224,7 +231,7 @@ def drop_programs():
     if not status.exists():
         return
     (memory,) = [line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmRSS")]
-    if int(memory) > _MOST_MEMORY or len(maps.read_bytes().splitlines()) > _MOST_MAPS:
+    if int(memory) > _most_memory() or len(maps.read_bytes().splitlines()) > _MOST_MAPS:
         jax.clear_caches()
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
