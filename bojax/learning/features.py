@@ -233,6 +233,13 @@ class ProductFeatures(StateActionFeatures):
         return (x[:, None] * y[None, :]).ravel()
 
     @override
+    def values(
+        self, weights: Float[Array, "M"], observation: Observation, actions: Action
+    ) -> Float[Array, "J"]:
+        x, ys = self.state(observation), jax.vmap(self.action)(actions)
+        return matmul(ys, matmul(x, weights.reshape(len(x), -1)))
+
+    @override
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
         return matmul(weights.reshape(-1, len(y)), y)
 
