@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bojax.config.errors import ConfigError, allowed_names, note_once, shown
+from bojax.config.files import display
 from bojax.config.limits import CHUNKS
 from bojax.config.points import Point, Sweep
 from bojax.engine.build import build
@@ -74,6 +75,7 @@ def plan_made_elsewhere(sweep: Sweep, content: Mapping[str, Any], device: Mappin
 
 def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
     """Refuse columns of the report and of claims that the tables will not have as numbers or Booleans."""
+    file = display(sweep.source)
     known: dict[str, dict[str, None]] = {"runs": {}, "episodes": {}, "steps": {}}
     for module in modules:
         for table, columns in module.tables.items():
@@ -83,7 +85,9 @@ def _check_columns(sweep: Sweep, modules: Sequence[Experiment]) -> None:
     def require(name: str, table: str, where: str) -> None:
         if name not in known[table]:
             allowed = allowed_names(name, known[table])
-            raise ConfigError(f"{where}: got {shown(name)}; unknown column of {table}.parquet{allowed}")
+            raise ConfigError(
+                f"{file}: {where}: got {shown(name)}; unknown column of {table}.parquet{allowed}"
+            )
 
     for key in ("rank_by", "column"):
         if name := (sweep.report.get(key) or "").removeprefix("-"):
