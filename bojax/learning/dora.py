@@ -92,7 +92,7 @@ class DORA(Learner):
         weights = jnp.zeros((self.num_indices, 2), dtype)
         initial = self.initial_weight * jax.random.normal(key, (self.num_indices,), dtype)
         return DORAState(
-            table=TileTable.empty(self.num_indices, self.num_tilings, len(scale), len(actions)),
+            table=TileTable.empty(self.num_indices, self.num_tilings, len(actions)),
             weights=weights.at[:, Q].set(initial),
             actions=actions,
             scale=scale,

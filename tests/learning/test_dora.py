@@ -69,7 +69,7 @@ def test_tiles_have_the_indices_of_a_dictionary_even_when_it_is_full(num_dims, s
     points = np.cumsum(rng.normal(size=(3000, num_dims)) * 0.2, axis=0)
     coder = reference.TileCoder(8, size)
     expected = np.array([[coder(x, a) for a in range(NUM_ACTIONS)] for x in points])
-    table = jax.jit(lambda: TileTable.empty(size, 8, num_dims, NUM_ACTIONS))()
+    table = jax.jit(lambda: TileTable.empty(size, 8, NUM_ACTIONS))()
     look_up = jax.jit(lambda table, points: jax.lax.scan(lambda t, x: t.look_up(tiles(x, 8)), table, points))
     table, found = look_up(table, jnp.asarray(points))
     np.testing.assert_array_equal(found, expected)
