@@ -1,4 +1,4 @@
-"""The episodes of a learning run (thesis, Algorithm 5): what its advances are put together from."""
+"""The episodes of a learning run (thesis, Algorithm 5): the parts of its advances."""
 
 from collections.abc import Mapping
 from dataclasses import replace

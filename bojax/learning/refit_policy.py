@@ -61,7 +61,7 @@ class Transitions(eqx.Module):
     phi: Float[Array, "T M"]  # phi(s, a) of the first transitions
     x: Float[Array, "T P"]  # x(s') of the first transitions
     block: int = eqx.field(static=True)  # number of transitions in a block
-    stored_block: int = eqx.field(static=True)  # the same of stored features
+    stored_block: int = eqx.field(static=True)  # and in a block of those whose features are stored
 
     @classmethod
     def of(cls, state: EMUQState, block: int, with_phi: bool) -> "Transitions":
@@ -81,8 +81,9 @@ class Transitions(eqx.Module):
         shapes = jax.eval_shape(features_of, state, state.memory)
         start = tuple(jnp.zeros((number, *shape.shape[1:]), shape.dtype) for shape in shapes)
         phi, x = state.memory.fold(visit, start, block, end=number)
-        # On a GPU, XLA copies each block before its products. All stored features as one block, which is not
-        # copied, take a sweep as long as one block of 512. Without phi, that gains next to nothing.
+        # On a GPU, XLA copies each block before its products. A sweep over all stored features as one block,
+        # which is not copied, takes as long as over 512 transitions. Direct refits, which do not store phi,
+        # would gain next to nothing.
         is_whole = with_phi and jax.default_backend() != "cpu"
         return cls(state, phi, x, block, number if is_whole else block)
 

@@ -28,7 +28,7 @@ def tiles(x: Float[Array, "D"], num_tilings: int) -> Int[Array, "T C"]:
 class TileTable(eqx.Module):
     """The indices of the tiles seen so far, at most N of them."""
 
-    keys: UInt32[Array, "K 2"]  # two hashes of the tile of each row in use
+    hashes: UInt32[Array, "K 2"]  # two hashes of the tile of each row in use
     first: Int[Array, "K"]  # index of each tile with action 0
     stride: Int[Array, "K"]  # difference of its indices with one action and the next
     num_rows: Int[Array, ""]  # number of rows in use
@@ -54,8 +54,8 @@ class TileTable(eqx.Module):
         # The tiles of a state get their indices for all A actions at once, in the order of actions and then
         # of tilings: if m tiles are new, the indices of the next action are higher by m, and one row serves
         # all actions.
-        keys = _keys(tiles)
-        row = self._row_of(keys)
+        hashes = hashes_of(tiles)
+        row = self._row_of(hashes)
         is_new = row < 0
         count = jnp.cumsum(is_new, dtype=jnp.int32)
         rank, number = count - 1, count[-1]
@@ -71,7 +71,7 @@ class TileTable(eqx.Module):
         grown = jnp.minimum(self.num_used + number * self.num_actions, self.size)
         table = replace(
             self,
-            keys=self.keys.at[place].set(keys, mode="drop"),
+            hashes=self.hashes.at[place].set(hashes, mode="drop"),
             first=self.first.at[place].set(first, mode="drop"),
             stride=self.stride.at[place].set(stride, mode="drop"),
             num_rows=self.num_rows + jnp.sum(is_stored, dtype=jnp.int32),
@@ -79,12 +79,12 @@ class TileTable(eqx.Module):
         )
         return table, index
 
-    def _row_of(self, keys: UInt32[Array, "T 2"]) -> Int[Array, "T"]:
+    def _row_of(self, hashes: UInt32[Array, "T 2"]) -> Int[Array, "T"]:
         """The row of each tile; -1 for one that has none."""
         # The two columns are compared one by one, so that a GPU needs one kernel for all: it would write what
         # `jnp.all` finds for every pair of a tile and a row to its memory.
-        (a, b), (rows_a, rows_b) = keys.T, self.keys.T
-        row = jnp.arange(len(self.keys), dtype=jnp.int32)
+        (a, b), (rows_a, rows_b) = hashes.T, self.hashes.T
+        row = jnp.arange(len(self.hashes), dtype=jnp.int32)
         is_equal = (a[:, None] == rows_a[None, :]) & (b[:, None] == rows_b[None, :])
         is_equal = is_equal & (row < self.num_rows)[None, :]
         return jnp.max(jnp.where(is_equal, row[None, :], -1), axis=1)
@@ -108,8 +108,8 @@ def tuple_hash(columns: list[Int[Array, "*N"]]) -> UInt32[Array, "*N"]:
 
 
 @eqx.filter_jit  # traced and lowered once, too
-def _keys(tiles: Int[Array, "T C"]) -> UInt32[Array, "T 2"]:
-    """Two hashes by which tiles are known: two of 1,000 tiles share both with a probability of 3e-14."""
+def hashes_of(tiles: Int[Array, "T C"]) -> UInt32[Array, "T 2"]:
+    """Two hashes by which tiles are known: any two of 1,000 tiles share both with a probability of 3e-14."""
     # Most of a look-up is the comparison of tiles with all rows. With all coordinates, a core makes 0.6 times
     # as many steps/s of the double pendulum, which has six. Of 14 million tiles near each other, 19,000 share
     # the first hash, and none the second as well. With a second one that begins with another number, 220 do:

@@ -12,7 +12,7 @@ from bojax.learning.actions import grid_actions, nearest_action
 from bojax.learning.base import Episode, Transition
 from bojax.learning.dora import E, Q, log_softplus
 from bojax.learning.settings import DORA as Settings
-from bojax.learning.tile_coding import TileTable, tiles, tuple_hash
+from bojax.learning.tile_coding import TileTable, hashes_of, tiles, tuple_hash
 from tests.learning.probes import exploring
 from tests.reference import dora as reference
 from tests.tiers import by_tier
@@ -237,3 +237,11 @@ def test_the_grid_has_every_combination_of_even_values():
 def test_unbounded_observations_are_refused():
     with pytest.raises(ValueError, match="finite bounds"):
         build(Settings()).check_spaces(Box(jnp.asarray([-jnp.inf]), jnp.asarray([1.0])), ACTIONS)
+
+
+def test_tiles_near_each_other_share_one_hash_but_not_both():
+    shape = (8, *6 * [14])
+    near = np.stack(np.unravel_index(57 * np.arange(2**20), shape), axis=1) - np.array([0, *6 * [2]])
+    hashes = np.asarray(jax.jit(hashes_of)(jnp.asarray(near, jnp.int32)))
+    assert len(np.unique(hashes[:, 0])) < len(hashes)
+    assert len(np.unique(hashes.astype(np.uint64) @ np.array([1, 2**32], np.uint64))) == len(hashes)
